@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from lidarcfg import maths
 
 Array = NDArray[np.float64]
+Times = NDArray[np.int64]  # nanoseconds, and other whole numbers
+Bytes = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
 UPRIGHT = 1e-9  # horizontal part of the x axis, below which a frame has no yaw of its own
 
 

@@ -12,7 +12,7 @@ from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.simulator import Simulator
 from lidarcfg.units import MINUTE_NS, SECOND_NS
-from lidarcfg.world.motion import standing
+from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.scene_file import SceneFile
 from lidarcfg.world.tracer import Tracer
@@ -66,14 +66,14 @@ def within(one, fired):
     if one.azimuth_fov_deg is None:
         return np.ones(len(fired.laser), bool)
     how = pattern(one)
-    decided = fired.encoder_rad - np.tile(how.lag_rad - how.decides_rad, len(fired.laser) // len(how.laser))
+    decided = fired.encoder_rad - np.tile(how.lag_rad - how.gating_rad, len(fired.laser) // len(how.laser))
     low, high = one.azimuth_fov_deg
     return (np.degrees(decided) - low) % 360 <= ((high - low) % 360 or 360)
 
 
 def simulated(one, index, fired, tracer, target):
     """How many of some firings return from object `target` of a tracer's scene, by the simulator."""
-    echoes, _ = Simulator(index, one, tracer, standing(np.eye(4))).echoes(fired, 0)
+    echoes, _ = Simulator(index, one, tracer, Trajectory.static(np.eye(4))).echoes(fired, 0)
     limits = one.sensor.range
     of_it = (echoes.object[:, 0] == target) & (echoes.range_m[:, 0] >= limits.min_m)
     return int((of_it & (echoes.range_m[:, 0] <= limits.max_m) & within(one, fired)).sum())

@@ -9,7 +9,7 @@ import lidarcfg
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.gltf_models import read_parts
+from lidarcfg.world.gltf_models import read_nodes
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
@@ -32,7 +32,7 @@ def test_the_files_are_what_the_script_makes(tool, tmp_path):
     assert points.files == kept_points.files == ["xyz"]
     assert points["xyz"].dtype == kept_points["xyz"].dtype
     np.testing.assert_array_equal(points["xyz"], kept_points["xyz"])
-    found, kept = (read_parts(folder / "scenes/suburb/houses.glb") for folder in (tmp_path, ROOT / "data"))
+    found, kept = (read_nodes(folder / "scenes/suburb/houses.glb") for folder in (tmp_path, ROOT / "data"))
     assert [part[:2] for part in found] == [part[:2] for part in kept]
     for one, other in zip(found, kept, strict=True):
         np.testing.assert_array_equal(one.mesh[0], other.mesh[0])

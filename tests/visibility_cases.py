@@ -8,7 +8,7 @@ from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.grid import seen_cuboids
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.world.meshes import box_mesh, joined, lathe
+from lidarcfg.world.meshes import box_mesh, join_meshes, lathe
 from lidarcfg.world.scene_file import Box
 from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
@@ -37,7 +37,7 @@ def body(count):
         ]  # fmt: skip
     if count == 60:
         parts = [box_mesh(Box(name="part", reflectivity=0, center_m=at, size_m=size)) for at, size in TABLE]
-        return joined(parts), [
+        return join_meshes(parts), [
             (1.5, 0.2, 1.44), (1.5, 0.8, 1.44), (1.499, 0.2, 1.43), (0, 0, 1.44), (1.5, 0.2, 1.3), (0, 0.4, 0.7),
         ]  # fmt: skip
     facets = max(count // 80, 8)

@@ -28,10 +28,10 @@ import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
 from lidarcfg.capture.pcap import FILE_HEADER
-from lidarcfg.packets.rotating import firings
 from lidarcfg.packets.velodyne.encode import encode
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.packets.velodyne.model import unit
+from lidarcfg.sensors.schedule import firings
 from lidarcfg.sensors.sensor import load_sensor
 
 RUNS, PACKETS = 7, 40_000

@@ -48,13 +48,14 @@ with (
     else contextlib.nullcontext()
 ):
     from lidarcfg.capture import decode as decoder
+    from lidarcfg.capture import sources
     from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
     from lidarcfg.capture.pcap import PCAP_MAGIC, read_batches
     from lidarcfg.capture.selection import Selection
-    from lidarcfg.packets.rotating import firings
     from lidarcfg.packets.velodyne.encode import encode
     from lidarcfg.packets.velodyne.layout import PACKET, packets_of
     from lidarcfg.packets.velodyne.model import unit
+    from lidarcfg.sensors.schedule import firings
     from tools import fuzz_makers
 from lidarcfg.clouds.cloud import PointCloud, concatenate
 from lidarcfg.errors import LidarcfgError
@@ -77,7 +78,7 @@ WARM = 1000  # captures, after which all is loaded and compiled and has been use
 FRAME = np.dtype([("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP), ("packet", PACKET)])
 
 load_sensor = functools.cache(load_sensor)
-decoder.load_sensor = load_sensor  # its YAML is another matter
+sources.load_sensor = load_sensor  # its YAML is another matter
 
 
 class Here(ThreadPoolExecutor):

@@ -17,7 +17,7 @@ from lidarcfg.sensors.rig import Mount, Rig, ports
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.geodesy import GeoOrigin
-from lidarcfg.world.motion import standing
+from lidarcfg.world.motion import Trajectory
 
 START_NS = 1_700_000_000 * 10**9
 HESAI, ROBOSENSE = ("pandar-xt32", "pandar-xt16", "xt32m2x", "qt128"), ("helios-16p", "helios-32")
@@ -99,7 +99,7 @@ def seed(number: int) -> Seed | None:
     shape = len(batch.firings.time_ns), 1 + of.dual
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 45, shape), np.inf)
     returns = maker.encode(of, batch, range_m, rng.integers(0, 256, shape, np.uint8))
-    besides = maker.housekeeping(of, standing(np.eye(4)), GeoOrigin(), START_NS, SECOND_NS // 10)
+    besides = maker.housekeeping(of, Trajectory.static(np.eye(4)), GeoOrigin(), START_NS, SECOND_NS // 10)
     return Seed(of.model, (*besides, returns), of.host, dict(maker.sidecar_files(of)))
 
 

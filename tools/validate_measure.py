@@ -35,7 +35,7 @@ from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import Subspaces, segment
-from lidarcfg.report import COLOURS, new_figure, save_figure
+from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.returns import Poses, Scanner, Target, compiled
 from lidarcfg.world.meshes import read_mesh
@@ -104,7 +104,7 @@ def scanners(rig: Rig) -> list[Scanner]:
 
 def within(study: Study, pose: Array) -> bool:
     """Whether a sensor at a pose is inside a body, where it sees nothing."""
-    return study.vehicle is not None and study.vehicle.around(pose[:3]) is not None
+    return study.vehicle is not None and study.vehicle.body_at(pose[:3]) is not None
 
 
 def drawn_rigs(study: Study, count: int) -> tuple[list[Rig], list[bool]]:

@@ -9,11 +9,11 @@ import numpy as np
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate, load_cloud, save_clouds
+from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.page import page_of, save_html
-from lidarcfg.viewer.stage import Stage
 from lidarcfg.viewer.still import save_still
 
 out = Path("out/examples")
@@ -23,7 +23,7 @@ out.mkdir(parents=True, exist_ok=True)
 # Two sensors in a street, for a tenth of a second. A recording of a real Velodyne does as well.
 rig, scene = lidarcfg.load_rig("data/rigs/roof.yaml"), lidarcfg.load_scene("data/scenes/street.yaml")
 capture = out / "turn.pcap"
-write_pcap(capture, in_time_order(export(rig, scene, np.eye(4), duration_ns=100_000_000)))
+write_pcap(capture, in_time_order(simulated_frames(rig, scene, np.eye(4), duration_ns=100_000_000)))
 
 # %% Its points
 # With a rig the points of all sensors are in the vehicle's frame; without one each sensor's are in its own. They come
@@ -51,7 +51,7 @@ assert np.array_equal(again.time_ns, cloud.time_ns)
 
 # %% A picture and a page
 # The page is one file that opens in any browser, without a server or a network.
-stage = Stage(cloud, objects=None, rigs=(rig,), study=None, scenes=(scene,), T_world_vehicle=np.eye(4))
-save_still(stage, out / "turn.png", (960, 540), by="height")
-save_html(page_of(stage, by="height"), out / "turn.html")
+contents = Contents(cloud, objects=None, rigs=(rig,), study=None, scenes=(scene,), T_world_vehicle=np.eye(4))
+save_still(contents, out / "turn.png", (960, 540), by="height")
+save_html(page_of(contents, by="height"), out / "turn.html")
 print(f"{out}/turn.png and {out}/turn.html, {(out / 'turn.html').stat().st_size / 1e6:.1f} MB")

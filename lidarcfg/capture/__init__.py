@@ -1,6 +1,14 @@
 """Captures: files of packets, read and written.
 
-To read in this order: `pcap` and `pcapng` have records, `frames` and `fragments` datagrams, `stream` the packets of one
-sensor, `decode` the cloud of all. `selection` leaves out what is not asked for, `manifest` says what a capture was made
-of, `replay` sends it.
+To read in this order. From a capture down to its bytes: `decode` tells the story, `reader` gives the packets of each
+sensor, `sources` says whose they are, `stream` puts them in order; `pcap`, `pcapng`, `frames` and `fragments` know the
+files, `selection` leaves out what is not wanted. `scans` cuts the points into revolutions.
+
+The other way: `export` gives what the sensors of a rig send in a scene, `ground_truth` what each return hit, which
+`objects` reads again. `manifest` says what a capture was made of, and `manifest_writer` writes it. `replay` sends a
+capture over the network.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -12,20 +12,30 @@ from lidarcfg.capture.ground_truth import RECORD, records
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, types
 from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.tasks import START_NS, Crew, Drive, Run, Task, checked_timing, fired_fraction, prepared, worked
+from lidarcfg.simulate.tasks import (
+    START_NS,
+    Drive,
+    SimulationOptions,
+    Task,
+    TaskRunner,
+    build_tasks,
+    checked_timing,
+    fired_fraction,
+    map_chunks,
+)
 from lidarcfg.world.geodesy import GeoOrigin
-from lidarcfg.world.motion import Trajectory, standing
+from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.vehicle import Vehicle
 
 OnTruth = Callable[[NDArray[np.void]], None]
 
 
-def export(
+def simulated_frames(
     rig: Rig,
     scene: Scene,
     at: Array | Trajectory,
@@ -33,28 +43,28 @@ def export(
     start_ns: int = START_NS,
     on_truth: OnTruth | None = None,
     vehicle: Vehicle | None = None,
-    run: Run | None = None,
+    options: SimulationOptions | None = None,
 ) -> list[Iterator[Frames]]:
     """The frames that each sensor of the rig sends, in time order. `in_time_order` merges the streams.
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
     The vehicle's bodies, if given, travel along and block beams; as objects they follow those of the scene.
     Sensor i of n starts i/n of a packet after the first, so that packets interleave.
-    `on_truth` is called with the records of `ground_truth`; like the functions of `run`, in the reader's thread.
+    `on_truth` is called with the records of `ground_truth`; like the functions of `options`, in the reader's thread.
     Raises ConfigError.
     """
-    run = run or Run()
-    trajectory = at if isinstance(at, Trajectory) else standing(at)
+    options = options or SimulationOptions()
+    trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
     _check_all(rig.mounts, duration_ns)
-    tasks = prepared(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), run.chunk_ns)
-    crew, origin = Crew.of(run, len(tasks)), scene.file.geo_origin
+    tasks = build_tasks(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
+    runner, origin = TaskRunner.of(options, len(tasks)), scene.file.geo_origin
     return [
-        in_time_order([_data_stream(task, crew, on_truth), _housekeeping_stream(task, trajectory, origin)])
+        in_time_order([_data_stream(task, runner, on_truth), _housekeeping_stream(task, trajectory, origin)])
         for task in tasks
     ]
 
 
-def save_companions(path: Path, mounts: Sequence[Mount]) -> list[Path]:
+def save_sidecar_files(path: Path, mounts: Sequence[Mount]) -> list[Path]:
     """Write the files that readers need beside the capture at `path`, and return them."""
     written = []
     for mount in mounts:
@@ -71,9 +81,10 @@ def data_bytes(drive: Drive) -> int:
     _check_all(drive.rig.mounts, drive.duration_ns)
     total = 0.0
     for mount in drive.rig.mounts:
-        maker, everywhere = codec(mount.sensor), replace(mount, azimuth_fov_deg=None)
+        maker = codec(mount.sensor)
+        everywhere = replace(mount, azimuth_fov_deg=None)
         batch = next(iter(maker.schedule(everywhere, drive.start_ns, 1, 1)))
-        shape = len(batch.firings.time_ns), len(types(mount.return_mode))
+        shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
         packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
         total += packets * sum(map(len, frames(mount.host, packet).records))
@@ -118,7 +129,8 @@ def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
         if not heads:
             return
         until_ns, last = min((int(head.time_ns[-1]), i) for i, head in heads.items())
-        times_ns, records = [], []
+        times_ns = []
+        records = []
         for i, head in sorted(heads.items()):
             count = int(np.searchsorted(head.time_ns, until_ns, "right" if i <= last else "left"))
             times_ns.append(head.time_ns[:count])
@@ -140,20 +152,22 @@ class _Chunk:
     truth: NDArray[np.void]  # empty if not wanted
 
 
-def _data_stream(task: Task, crew: Crew, on_truth: OnTruth | None) -> Iterator[Frames]:
+def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> Iterator[Frames]:
     """The data packets completed within the duration, each sent when complete."""
-    maker, mount = codec(task.mount.sensor), task.mount
+    maker = codec(task.mount.sensor)
+    mount = task.mount
 
     def make(batch: Batch, found: Echoes) -> _Chunk:
         range_m = found.range_m + found.noise_m
         payloads = maker.encode(mount, batch, range_m, found.reflectivity)
         truth = np.empty(0, RECORD)
         if on_truth:
-            types, sent = maker.return_types(mount, range_m, found.reflectivity), maker.sent(mount, batch, payloads)
+            types = maker.return_types(mount, range_m, found.reflectivity)
+            sent = maker.sent(mount, batch, payloads)
             truth = records(task.index, types, batch.firings, found, sent)
         return _Chunk(frames(mount.host, payloads), truth)
 
-    for chunk in worked(task, crew, make):
+    for chunk in map_chunks(task, runner, make):
         if on_truth:
             on_truth(chunk.truth)
         yield chunk.frames

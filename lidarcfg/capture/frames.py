@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.fragments import DATAGRAM_MAX, TIMEOUT_NS, Fragment, Reassembly
-from lidarcfg.packets.codec import Octets, Payloads, Times
+from lidarcfg.geometry import Bytes, Times
+from lidarcfg.packets.codec import Payloads
 
 ETHERNET = 1
 LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # tcpdump.org's link types: header bytes, offset of the EtherType
@@ -60,18 +61,18 @@ class Datagrams:
     port: NDArray[np.uint16]  # (N,) the one it was sent to
     start: NDArray[np.int64]  # (N,) where the payload is in `data`
     size: NDArray[np.int64]  # (N,) its bytes
-    data: Octets
+    data: Bytes
 
     def __getitem__(self, which: NDArray[Any] | slice) -> "Datagrams":
         """Some of them, in the same data."""
         return replace(self, **{key: column[which] for key, column in vars(self).items() if key != "data"})
 
-    def payloads(self, size: int) -> Octets:
+    def payloads(self, size: int) -> Bytes:
         """The payloads (N, size), each of this size; a view, if they are equally far apart."""
         steps = np.diff(self.start)
         if len(steps) and steps[0] >= size and (steps == steps[0]).all():
             return np.ndarray((len(self.start), size), np.uint8, self.data, int(self.start[0]), (int(steps[0]), 1))
-        return gathered(self.data, self.start, np.dtype((np.void, size))).view(np.uint8).reshape(len(self.start), size)
+        return gather(self.data, self.start, np.dtype((np.void, size))).view(np.uint8).reshape(len(self.start), size)
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class Piece:
     time_ns: Times  # (N,)
     start: NDArray[np.int64]  # (N,) where the frame is in `data`
     size: NDArray[np.int64]  # (N,) its bytes
-    data: Octets
+    data: Bytes
 
 
 def frames(host: str, payloads: Payloads) -> Frames:
@@ -116,7 +117,7 @@ def frames(host: str, payloads: Payloads) -> Frames:
 
 
 def _records(
-    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], content: Octets
+    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], content: Bytes
 ) -> list[bytes]:
     """Bytes (n, m) behind Ethernet and IP headers, and UDP's (n,) or none (n, 0), as records of a pcap."""
     count, size = content.shape
@@ -128,8 +129,8 @@ def _records(
     record["seconds"], record["microseconds"] = np.divmod(payloads.time_ns // 1000, 10**6)
     record["captured"] = record["length"] = out.itemsize - RECORD.itemsize
     address = socket.inet_aton(host)
-    ethernet["destination"] = _octets(payloads.network.destination_mac)
-    ethernet["source"] = _octets(payloads.network.mac_prefix) + list(address[1:])
+    ethernet["destination"] = _mac_bytes(payloads.network.destination_mac)
+    ethernet["source"] = _mac_bytes(payloads.network.mac_prefix) + list(address[1:])
     ethernet["kind"] = IPV4
     ip["version"] = 0x45
     ip["ttl"] = payloads.header.ttl
@@ -143,12 +144,12 @@ def _records(
     return list(out.view(f"V{out.itemsize}").tolist())
 
 
-def _octets(mac: str) -> list[int]:
+def _mac_bytes(mac: str) -> list[int]:
     return list(bytes.fromhex(mac.replace(":", "")))
 
 
 def _sum(parts: NDArray[Any]) -> NDArray[np.uint32]:
-    """(n,): the sum of the 16-bit words of each part (n, …); an odd octet at the end is a word's upper half."""
+    """(n,): the sum of the 16-bit words of each part (n, …); an odd byte at the end is a word's upper half."""
     content = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
     if content.shape[1] % 2:
         content = np.pad(content, ((0, 0), (0, 1)))
@@ -164,7 +165,7 @@ def _checksum(total: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return 0xFFFF - total
 
 
-def gathered(data: Octets, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+def gather(data: Bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
     """(N,) of a dtype, from the bytes that start at these places."""
     kind = np.dtype((np.void, dtype.itemsize))  # copied whole, not field by field
     everywhere = np.ndarray(max(len(data) - dtype.itemsize + 1, 0), kind, data, strides=(1,))
@@ -201,21 +202,21 @@ def ip_packets(piece: Piece) -> IpPackets:
     keep(left >= IP.itemsize)
     if kind is not None:
         for _ in range(TAGS_MAX):
-            tagged = np.isin(gathered(data, ip - (at - kind), WORD), VLAN)
+            tagged = np.isin(gather(data, ip - (at - kind), WORD), VLAN)
             if not tagged.any():
                 break
             ip = ip + 4 * tagged
             left = left - 4 * tagged
             keep(left >= IP.itemsize)
-        keep(gathered(data, ip - (at - kind), WORD) == IPV4)
-    head = gathered(data, ip, IP)
+        keep(gather(data, ip - (at - kind), WORD) == IPV4)
+    head = gather(data, ip, IP)
     length = (head["version"] & 15).astype(np.int64) * 4
     good = (head["version"] >> 4 == 4) & (head["protocol"] == socket.IPPROTO_UDP) & (length >= IP.itemsize)
     end = np.where(head["length"] > 0, np.minimum(head["length"], left), left)
     part = head["flags"] & (MORE_FRAGMENTS | FRAGMENT_OFFSET) != 0
     whole = good & ~part & (left >= length + UDP.itemsize)
     cut = whole.copy()  # by UDP's length: IP's is wrong in position packets of 2014
-    cut[whole] = gathered(data, (ip + length)[whole], UDP)["length"] > (left - length)[whole]
+    cut[whole] = gather(data, (ip + length)[whole], UDP)["length"] > (left - length)[whole]
     return IpPackets(which, ip, head, length, end, whole & ~cut, part & good & (end > length), int(cut.sum()))
 
 
@@ -233,7 +234,7 @@ def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
 def _whole(
     piece: Piece, which: NDArray[Any], ip: NDArray[Any], head: NDArray[Any], length: NDArray[Any], end: NDArray[Any]
 ) -> Datagrams:
-    ports = gathered(piece.data, ip + length, UDP)
+    ports = gather(piece.data, ip + length, UDP)
     return Datagrams(
         time_ns=piece.time_ns[which],
         host=np.ascontiguousarray(head["source"]).view(">u4")[:, 0].astype(np.uint32),
@@ -279,7 +280,7 @@ def _with_fragments(
     starts = np.concatenate([start[in_runs], whole.start - UDP.itemsize])
     data = _joined(b"".join(late.values()), piece.data, starts, np.concatenate([size[in_runs], lengths[1]]))
     begins = np.cumsum(sizes) - sizes
-    ports = gathered(data, begins, UDP)
+    ports = gather(data, begins, UDP)
     at = np.concatenate([frame[made], whole_at])
     together = Datagrams(
         time_ns=piece.time_ns[at],
@@ -293,7 +294,7 @@ def _with_fragments(
     return together[np.argsort(at, kind="stable")]
 
 
-def _joined(begin: bytes, data: Octets, start: NDArray[np.int64], size: NDArray[np.int64]) -> Octets:
+def _joined(begin: bytes, data: Bytes, start: NDArray[np.int64], size: NDArray[np.int64]) -> Bytes:
     """A beginning and pieces (N,) of the data, concatenated; pieces of one size, as most are, are copied together."""
     ends = np.cumsum(np.concatenate([[len(begin)], size]))[1:]
     out = np.empty(len(begin) + int(size.sum()), np.uint8)
@@ -304,7 +305,7 @@ def _joined(begin: bytes, data: Octets, start: NDArray[np.int64], size: NDArray[
         everywhere = np.ndarray(len(out) - one + 1, kind, out, strides=(1,))
         for first in range(0, len(rows), ROWS):  # few enough to stay in the core's cache
             some = rows[first : first + ROWS]
-            everywhere[ends[some] - one] = gathered(data, start[some], kind)
+            everywhere[ends[some] - one] = gather(data, start[some], kind)
     return out
 
 

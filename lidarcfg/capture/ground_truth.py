@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.files import check_replaceable, make_parent, replacing
-from lidarcfg.packets.codec import Firings, Flags, Octets
+from lidarcfg.geometry import Bytes, Flags
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.simulate.echoes import Echoes
 
 RECORD = np.dtype(
@@ -30,12 +31,13 @@ RECORD = np.dtype(
 RECORDS = 1 << 16  # at a time
 
 
-def records(sensor_index: int, types: Octets, fired: Firings, found: Echoes, sent: Flags) -> NDArray[np.void]:
+def records(sensor_index: int, types: Bytes, fired: Firings, found: Echoes, sent: Flags) -> NDArray[np.void]:
     """The records of N firings: echoes, their types, and which of them were sent, are (N, R)."""
     firing, which = np.nonzero(sent)
     out = np.empty(len(firing), RECORD)
     out["sensor"] = sensor_index
-    out["time_ns"], out["laser"] = fired.time_ns[firing], fired.laser[firing]
+    out["time_ns"] = fired.time_ns[firing]
+    out["laser"] = fired.laser[firing]
     out["return_type"] = types[firing, which]
     for key in ("object", "range_m", "noise_m"):
         out[key] = getattr(found, key)[firing, which]
@@ -49,7 +51,8 @@ class TruthFile:
         path = Path(path)
         check_replaceable(path)
         make_parent(path)
-        self._path, self._names = path, {"sensor_names": sensor_names, "object_names": object_names}
+        self._path = path
+        self._names = {"sensor_names": sensor_names, "object_names": object_names}
         self._bodies: list[IO[bytes]] = [tempfile.TemporaryFile(dir=path.parent) for _ in sensor_names]  # noqa: SIM115
 
     def __enter__(self) -> "TruthFile":

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
+from pydantic import PrivateAttr
 
 import lidarcfg
 from lidarcfg.config.models import Model, Positive, error_at, load
@@ -52,12 +53,14 @@ class CaptureManifest(Model):
     trajectory: Input | None = None
     vehicle: Input | Literal["none"] | None = None  # none at all; or the rig's, if it names one
     models: dict[str, str] | None = None  # the catalogue's sensors in the rig, and the sha256 of their files
-    at: str  # where the vehicle starts, as `place` reads it
+    at: str  # where the vehicle starts, as `parse_pose` reads it
     start: str  # ISO 8601; UTC unless it names a zone
     return_mode: ReturnMode | None = None  # none: the rig's
     duration_s: Positive
 
-    def path(self, key: str, manifest: Path, hint: str = "name what fits it: --{key}") -> Path | None:
+    _path: Path = PrivateAttr(default=Path())  # its own file
+
+    def input_path(self, key: str, hint: str = "name what fits it: --{key}") -> Path | None:
         """Where one of the inputs is, or `none` of the vehicle.
 
         Raises ConfigError if it, or what it names, has changed since, with a hint of what to do.
@@ -68,26 +71,66 @@ class CaptureManifest(Model):
             return Path(given) if given else None
         for i, part in enumerate((given, *(given.files or ()))):
             at = (key, "file") if i == 0 else (key, "files", i - 1, "file")
-            path = manifest.parent / part.file
+            path = self._path.parent / part.file
             try:
                 same = sha256(path) == part.sha256
             except OSError as error:
-                raise error_at(manifest, at, f"{path}: {reason(error)}; {hint}") from None
+                raise error_at(self._path, at, f"{path}: {reason(error)}; {hint}") from None
             if not same:
-                raise error_at(manifest, at, f"{path} has changed since the export; {hint}")
+                raise error_at(self._path, at, f"{path} has changed since the export; {hint}")
+        if key == "rig":
+            self._check_models(hint)
+        return self._path.parent / given.file
+
+    def _check_models(self, hint: str) -> None:
+        """Raises ConfigError if the catalogue's sensors are not those of the export."""
         known = catalogue()
-        for name, digest in (self.models or {}).items() if key == "rig" else ():
+        for name, digest in (self.models or {}).items():
             if name not in known or sha256(known[name]) != digest:
                 what = f"{name} differs between this catalogue and that of the export; {hint}"
-                raise error_at(manifest, ("models", name), what)
-        return manifest.parent / given.file
+                raise error_at(self._path, ("models", name), what)
 
-    def motion(self, manifest: Path) -> Trajectory:
-        """The vehicle's motion. Raises ConfigError as `path` does, and for a place or a time that is none."""
-        return Trajectory(place(self.at), load_path(self.path("trajectory", manifest)), time_ns(self.start))
+    def motion(self) -> Trajectory:
+        """The vehicle's motion. Raises ConfigError as `input_path` does, and for a pose or a time that is none."""
+        T_world_start = parse_pose(self.at)
+        path = load_path(self.input_path("trajectory"))
+        return Trajectory(T_world_start, path, parse_time_ns(self.start))
 
 
-def place(at: str) -> Array:
+def load_manifest(capture: Path) -> CaptureManifest:
+    """The manifest beside a capture. Raises ConfigError."""
+    path = manifest_path(capture)
+    if not path.exists():
+        raise ConfigError(f"{path}: the capture has no manifest; give --rig and --trajectory")
+    return read_manifest(path)
+
+
+def read_manifest(path: Path) -> CaptureManifest:
+    """The manifest in a file. Raises ConfigError."""
+    manifest = load(path, CaptureManifest)
+    manifest._path = path
+    return manifest
+
+
+def manifest_path(capture: Path) -> Path:
+    """The path of a capture's manifest."""
+    return capture.with_name(capture.name + SUFFIX)
+
+
+def rig_file(capture: Path, given: str | Path | None) -> Path | None:
+    """The file of the rig that recorded a capture: the one given, unless it is called none, or that of its manifest.
+
+    Raises ConfigError if that has changed since.
+    """
+    if given is not None:
+        return None if str(given) == NO_VEHICLE else Path(given)
+    if not manifest_path(capture).exists():
+        return None
+    hint = "name what fits it, or none, which leaves points in their sensors' frames: --rig"
+    return load_manifest(capture).input_path("rig", hint)
+
+
+def parse_pose(at: str) -> Array:
     """T_world_vehicle (4, 4) from X,Y,YAW_DEG, or X,Y,Z,ROLL_DEG,PITCH_DEG,YAW_DEG. Raises ConfigError."""
     try:
         numbers = [float(word) for word in at.split(",")]
@@ -100,17 +143,17 @@ def place(at: str) -> Array:
     return pose(numbers[:3], [math.radians(angle) for angle in numbers[3:]])
 
 
-def place_text(T_world_vehicle: Array) -> str | None:
-    """What `place` reads as this pose (4, 4); None: it is no rotation and shift."""
+def format_pose(T_world_vehicle: Array) -> str | None:
+    """What `parse_pose` reads as this pose (4, 4); None: it is not rigid."""
     position = T_world_vehicle[:3, 3].tolist()
     roll, pitch, yaw = np.degrees(angles(T_world_vehicle[:3, :3])).tolist()
     flat = position[2] == roll == pitch == 0.0
     numbers = (*position[:2], yaw) if flat else (*position, roll, pitch, yaw)
     text = ",".join(repr(number + 0.0).removesuffix(".0") for number in numbers)
-    return text if np.allclose(place(text), T_world_vehicle, rtol=0, atol=1e-12) else None
+    return text if np.allclose(parse_pose(text), T_world_vehicle, rtol=0, atol=1e-12) else None
 
 
-def time_ns(start: str) -> int:
+def parse_time_ns(start: str) -> int:
     """Nanoseconds since 1970 in UTC, from ISO 8601. Raises ConfigError."""
     try:
         time = datetime.fromisoformat(start)
@@ -122,39 +165,10 @@ def time_ns(start: str) -> int:
     return (since.days * 86_400 + since.seconds) * SECOND_NS + since.microseconds * 1000
 
 
-def rig_file(capture: Path, given: str | Path | None) -> Path | None:
-    """The file of the rig that recorded a capture: the one given, unless it is called none, or that of its manifest.
-
-    Raises ConfigError if that has changed since.
-    """
-    if given is not None:
-        return None if str(given) == NO_VEHICLE else Path(given)
-    beside = manifest_path(capture)
-    return (
-        load_manifest(capture).path(
-            "rig", beside, "name what fits it, or none, which leaves points in their sensors' frames: --rig"
-        )
-        if beside.exists()
-        else None
-    )
-
-
-def manifest_path(capture: Path) -> Path:
-    """The path of a capture's manifest."""
-    return capture.with_name(capture.name + SUFFIX)
-
-
 def sha256(path: Path) -> str:
+    """The checksum of a file. Raises OSError."""
     digest = hashlib.sha256()
     with open(path, "rb") as file:
         while part := file.read(READ):
             digest.update(part)
     return digest.hexdigest()
-
-
-def load_manifest(capture: Path) -> CaptureManifest:
-    """The manifest beside a capture. Raises ConfigError."""
-    path = manifest_path(capture)
-    if not path.exists():
-        raise ConfigError(f"{path}: the capture has no manifest; give --rig and --trajectory")
-    return load(path, CaptureManifest)

@@ -1,4 +1,4 @@
-"""The manifest of an export from Python: it names the files that were given, and new ones for all other inputs."""
+"""Writes the manifest of an export: it names the files that were given, and new ones for inputs that are in none."""
 
 import hashlib
 import os
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lidarcfg.capture.manifest import CaptureManifest, FileDigest, Input, manifest_path, place_text, sha256
+from lidarcfg.capture.manifest import CaptureManifest, FileDigest, Input, format_pose, manifest_path, sha256
 from lidarcfg.config.document import yaml_text
 from lidarcfg.config.models import load
 from lidarcfg.errors import ConfigError
@@ -25,14 +25,8 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, files_of
 from lidarcfg.world.scene_file import SceneFile
-from lidarcfg.world.vehicle import Vehicle
 
-SIDECAR_SUFFIXES = (
-    ".rig.yaml",
-    ".scene.yaml",
-    ".trajectory.yaml",
-    ".trajectory.tum",
-)  # likewise: inputs that were in no file
+SIDECAR_SUFFIXES = (".rig.yaml", ".scene.yaml", ".trajectory.yaml", ".trajectory.tum")  # of inputs that are in no file
 
 
 class SidecarInput(NamedTuple):
@@ -40,6 +34,14 @@ class SidecarInput(NamedTuple):
 
     suffix: str  # behind the capture's name
     text: str
+
+    def save(self, capture: Path) -> FileDigest:
+        """Write it, and name it as the manifest does."""
+        path = capture.with_name(capture.name + self.suffix)
+        content = self.text.encode()
+        with replacing(path, "wb") as out:
+            out.write(content)
+        return FileDigest(file=path.name, sha256=hashlib.sha256(content).hexdigest())
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class ManifestInputs:
     def of(
         cls, drive: Drive, output: Path, rig: Path | None, scene: Path | None, trajectory: Path | None
     ) -> "ManifestInputs":
-        """Those of a drive, of which these files were given."""
+        """The inputs of a drive, of which these files were given."""
         at = drive.trajectory.T_world_start
         moved = None
         if not trajectory:
@@ -63,12 +65,12 @@ class ManifestInputs:
             "scene": scene or _scene(drive.scene),
             "trajectory": trajectory or moved,
         }
-        return cls(files, place_text(at))
+        return cls(files, format_pose(at))
 
     def outdated(self, output: Path) -> list[Path]:
         """The files of an earlier export beside the output that this one neither writes nor was given."""
         kept = {os.path.realpath(given) for given in self.files.values() if isinstance(given, Path)}
-        if not self._lacks:
+        if not self._obstacle:
             suffixes = [given.suffix for given in self.files.values() if isinstance(given, SidecarInput)]
             kept |= {os.path.realpath(output.with_name(output.name + suffix)) for suffix in suffixes}
             kept.add(os.path.realpath(manifest_path(output)))
@@ -78,18 +80,18 @@ class ManifestInputs:
     def save(self, output: Path, drive: Drive, on_warning: Callable[[str], None]) -> None:
         """Write the manifest and the files beside it, or warn of what is missing."""
         manifest = manifest_path(output)
-        if self._lacks:
-            on_warning(f"{manifest}: is not written, as {self._lacks}; decode needs to be told")
+        if self._obstacle:
+            on_warning(f"{manifest}: is not written, as {self._obstacle}; decode needs to be told")
             return
         if not self.files["scene"]:
             on_warning(f"{manifest}: names no scene, which is in no file; view and convert need it")
         start = datetime.fromtimestamp(drive.start_ns // SECOND_NS, UTC).replace(tzinfo=None).isoformat()
         values = {"at": self.at, "start": start, "duration_s": drive.duration_ns / SECOND_NS}
-        save_manifest(output, self.files, drive.rig, drive.scene, drive.vehicle, values)
+        save_manifest(output, self.files, drive, values)
 
     @property
-    def _lacks(self) -> str | None:
-        """Why there can be no manifest."""
+    def _obstacle(self) -> str | None:
+        """Why there can be no manifest; None if there can."""
         if not self.files["rig"]:
             return "sensors of the rig are in no file"
         return None if self.at else "the vehicle's pose is not rigid"
@@ -148,45 +150,34 @@ def _models(rig: Rig) -> dict[str, str] | None:
 
 
 def save_manifest(
-    capture: Path,
-    files: Mapping[str, Path | SidecarInput | None],
-    rig: Rig,
-    scene: Scene,
-    vehicle: Vehicle | None,
-    values: Mapping[str, Any],
+    capture: Path, files: Mapping[str, Path | SidecarInput | None], drive: Drive, values: Mapping[str, Any]
 ) -> None:
     """Write the manifest beside a capture: its input files, and the other keys of `CaptureManifest`.
 
-    Rig, scene and vehicle are what was read of the files; the files that they name are in the manifest, too.
+    The drive is what was read of the files; the files that it names are in the manifest, too.
     """
-    path = manifest_path(capture)
     scene_file = files["scene"]
-    named = {"rig": _sensor_files(rig)}
-    named["scene"] = files_of(scene.file, example(scene_file).parent) if isinstance(scene_file, Path) else []
-    owner = "vehicle" if files.get("vehicle") else "rig"
-    named[owner] = [*named.get(owner, ()), *(files_of(vehicle.file, Path()) if vehicle else ())]
-    inputs: dict[str, Any] = {"models": _models(rig)}
-    for key, given in files.items():
-        if given:
-            own = _written(given, capture) if isinstance(given, SidecarInput) else FileDigest.of(given, path)
-            others = dict.fromkeys(
-                one
-                for one in named.get(key, ())
-                if isinstance(given, SidecarInput) or os.path.realpath(one) != os.path.realpath(example(given))
-            )
-            parts = tuple(FileDigest.of(one, path) for one in others)
-            inputs[key] = Input(**own.model_dump(), files=parts or None)
-    manifest = CaptureManifest.model_validate(
-        {**inputs, **{key: value for key, value in values.items() if value is not None}}
-    )
-    with replacing(path) as out:
+    named = {"rig": _sensor_files(drive.rig)}
+    if isinstance(scene_file, Path):
+        named["scene"] = files_of(drive.scene.file, example(scene_file).parent)
+    if drive.vehicle:
+        owner = "vehicle" if files.get("vehicle") else "rig"
+        named[owner] = [*named.get(owner, []), *files_of(drive.vehicle.file, Path())]
+    inputs = {key: _input(given, named.get(key, []), capture) for key, given in files.items() if given}
+    others = {key: value for key, value in values.items() if value is not None}
+    manifest = CaptureManifest.model_validate({"models": _models(drive.rig), **inputs, **others})
+    with replacing(manifest_path(capture)) as out:
         out.write(yaml_text(manifest.model_dump(mode="json", exclude_none=True), blocks=True))
 
 
-def _written(given: SidecarInput, capture: Path) -> FileDigest:
-    """Write an input beside a capture, and name it as the manifest does."""
-    path = capture.with_name(capture.name + given.suffix)
-    content = given.text.encode()
-    with replacing(path, "wb") as out:
-        out.write(content)
-    return FileDigest(file=path.name, sha256=hashlib.sha256(content).hexdigest())
+def _input(given: Path | SidecarInput, named: list[Path], capture: Path) -> Input:
+    """An input as the manifest names it, with the other files that it names. Writes it if it is in no file."""
+    path = manifest_path(capture)
+    if isinstance(given, SidecarInput):
+        own = given.save(capture)
+    else:
+        own = FileDigest.of(given, path)
+        itself = os.path.realpath(example(given))
+        named = [one for one in named if os.path.realpath(one) != itself]
+    parts = tuple(FileDigest.of(one, path) for one in dict.fromkeys(named))
+    return Input(**own.model_dump(), files=parts or None)

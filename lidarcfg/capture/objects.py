@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 
 from lidarcfg.clouds.cloud import PointCloud, read_arrays
 from lidarcfg.errors import CloudError
+from lidarcfg.sensors.firing import LAST, SECOND
 from lidarcfg.sensors.rig import Rig
 
 AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
 LATEST_NS = 2**42  # span of a ground-truth file: 73 minutes; with sensor, ring and return it makes one int64
-LAST = 1  # types of returns
-SECOND = 2
 NAMES = ("sensor_names", "object_names")
 COLUMNS = ("sensor", "time_ns", "laser", "return_type", "object")
 OTHER = "rain, fog or unknown"
@@ -77,11 +76,11 @@ class GroundTruth:
         since_ns = np.clip(cloud.time_ns - self.start_ns, 0, 2 * LATEST_NS - 2 * AWAY_NS)
         by_strength = self.by_strength[sensor[cloud.sensor]]
         second = (cloud.return_type == LAST) | ((cloud.return_type == SECOND) & by_strength)
-        asked = _key(sensor[cloud.sensor], cloud.ring, second, since_ns)
+        wanted = _key(sensor[cloud.sensor], cloud.ring, second, since_ns)
         known = self.known
-        after = np.searchsorted(known, asked).clip(1, len(known) - 1) if len(known) > 1 else np.zeros_like(asked)
-        near = np.where(asked - known[after - 1] < known[after] - asked, after - 1, after)
-        found = abs(known[near] - asked) <= AWAY_NS
+        after = np.searchsorted(known, wanted).clip(1, len(known) - 1) if len(known) > 1 else np.zeros_like(wanted)
+        near = np.where(wanted - known[after - 1] < known[after] - wanted, after - 1, after)
+        found = abs(known[near] - wanted) <= AWAY_NS
         if not found.any():
             raise CloudError(f"{self.path}: none of the points has a return in it; it belongs to another capture")
         return np.where(found, self.object[near], -1).astype(np.int32)

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.fragments import Reassembly
-from lidarcfg.capture.frames import ETHERNET, LINK_HEADERS, RECORD, Datagrams, Frames, Piece, datagrams, gathered
+from lidarcfg.capture.frames import ETHERNET, LINK_HEADERS, RECORD, Datagrams, Frames, Piece, datagrams, gather
 from lidarcfg.capture.pcapng import Frame, read_frames
 from lidarcfg.errors import PacketError
 from lidarcfg.files import replacing
+from lidarcfg.geometry import Bytes, Times
 from lidarcfg.inputs import check_regular
-from lidarcfg.packets.codec import Octets, Times
 from lidarcfg.units import SECOND_NS
 
 SNAPLEN = 65535
@@ -63,10 +63,10 @@ def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:
 def read_datagrams(path: str | Path, on_warning: Callable[[str], None]) -> Iterator[Datagram]:
     """The datagrams of `read_batches`, one by one."""
     for batch in read_batches(path, on_warning):
-        yield from one_by_one(batch)
+        yield from each_datagram(batch)
 
 
-def one_by_one(batch: Datagrams) -> Iterator[Datagram]:
+def each_datagram(batch: Datagrams) -> Iterator[Datagram]:
     """The datagrams of a batch."""
     hosts = [socket.inet_ntoa(host.to_bytes(4)) for host in batch.host.tolist()]
     columns = (batch.time_ns, batch.source_port, batch.port, batch.start, batch.start + batch.size)
@@ -135,7 +135,7 @@ def _pcap_pieces(
             break
         data = data[: len(left) + read]
         start, at, size = _records(data, record)
-        heads = gathered(data, start, record)
+        heads = gather(data, start, record)
         if _is_hole(heads):
             break
         yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), data)
@@ -159,7 +159,7 @@ def _place(name: str, record: np.dtype[Any], unit_ns: int, from_ns: int) -> tupl
         start, end, _ = _records(data[at : at + SCANNED], record)
         if not len(start):
             break
-        heads = gathered(data[at : at + SCANNED], start, record)
+        heads = gather(data[at : at + SCANNED], start, record)
         if _is_hole(heads):
             break
         late = np.flatnonzero(_time_ns(heads, unit_ns) >= from_ns)
@@ -211,7 +211,7 @@ def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:
     return heads["seconds"].astype(np.int64) * SECOND_NS + heads["microseconds"].astype(np.int64) * unit_ns
 
 
-def whole_capture(data: bytes, name: str) -> Iterator[Piece]:
+def frames_in_memory(data: bytes, name: str) -> Iterator[Piece]:
     """All frames of a capture that is in memory, in the order of the file. Raises PacketError."""
     content = np.frombuffer(data, np.uint8)
     if data[:4] not in PCAP_MAGIC or len(data) < HEADER:
@@ -221,12 +221,12 @@ def whole_capture(data: bytes, name: str) -> Iterator[Piece]:
     link = _checked_link(struct.unpack_from(order + "I", data, 20)[0] & 0xFFFF, name)
     record = RECORD if order == "<" else RECORD.newbyteorder()
     start = _records(content[HEADER:], record)[0] + HEADER
-    heads = gathered(content, start, record)
+    heads = gather(content, start, record)
     yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), content)
 
 
 def _pcapng_pieces(
-    file: IO[bytes], name: str, on_warning: Callable[[str], None], whole: Octets | None = None
+    file: IO[bytes], name: str, on_warning: Callable[[str], None], whole: Bytes | None = None
 ) -> Iterator[Piece]:
     """The frames of a pcapng, consecutive ones of one link type at a time; as views of `whole`, if that is given.
 
@@ -243,7 +243,7 @@ def _pcapng_pieces(
         _checked_link(min(links), name)
 
 
-def _piece(link: int, frames: list[Frame], whole: Octets | None) -> Piece:
+def _piece(link: int, frames: list[Frame], whole: Bytes | None) -> Piece:
     time_ns, start, size = np.array([(one.time_ns, one.at, len(one.content)) for one in frames], np.int64).T
     if whole is None:
         whole = np.frombuffer(b"".join(one.content for one in frames), np.uint8)

@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lidarcfg.capture.pcap import Datagram, one_by_one
-from lidarcfg.capture.selection import Selection, around, window_ns
+from lidarcfg.capture.pcap import Datagram, each_datagram
+from lidarcfg.capture.selection import Selection, read_window, window_ns
 from lidarcfg.errors import PacketError
 
 LEAST_NS = 1_000  # between two passes, at least
 
 
 @dataclass(frozen=True)
-class Replayed:
+class ReplayResult:
     """How a replay went."""
 
     packets: int
@@ -23,14 +23,14 @@ class Replayed:
     interrupted: bool = False  # by Ctrl-C
 
 
-def selected(path: str | Path, on_warning: Callable[[str], None], selection: Selection) -> Iterator[Datagram]:
+def read_selected(path: str | Path, on_warning: Callable[[str], None], selection: Selection) -> Iterator[Datagram]:
     """The datagrams of a window of a capture, from any sensor. Raises PacketError."""
     begin_ns, end_ns = window_ns(path, selection)
-    for batch in around(path, on_warning, (begin_ns, end_ns)):
-        yield from one_by_one(batch[(batch.time_ns >= begin_ns) & (batch.time_ns < end_ns)])
+    for batch in read_window(path, on_warning, (begin_ns, end_ns)):
+        yield from each_datagram(batch[(batch.time_ns >= begin_ns) & (batch.time_ns < end_ns)])
 
 
-def looped(read: Callable[[], Iterator[Datagram]]) -> Iterator[Datagram]:
+def repeat(read: Callable[[], Iterator[Datagram]]) -> Iterator[Datagram]:
     """Repeat the datagrams endlessly. Host times continue; passes are their mean interval apart."""
     shift_ns = 0
     again = True
@@ -47,7 +47,7 @@ def looped(read: Callable[[], Iterator[Datagram]]) -> Iterator[Datagram]:
         shift_ns += span_ns + max(span_ns // max(count - 1, 1), LEAST_NS)
 
 
-def replay(datagrams: Iterable[Datagram], host: str, port: int | None, speed: float = 1.0) -> Replayed:
+def replay(datagrams: Iterable[Datagram], host: str, port: int | None, speed: float = 1.0) -> ReplayResult:
     """Send the datagrams to a host: to one port, or each to its own; `speed` times as fast as they were captured.
 
     The first is sent at once, each other one at its host time relative to the first. Their source is this machine.
@@ -80,4 +80,4 @@ def replay(datagrams: Iterable[Datagram], host: str, port: int | None, speed: fl
             interrupted = True
     if not (count or interrupted):
         raise PacketError("there are no UDP datagrams to send")
-    return Replayed(count, time.perf_counter() - began, latest_s, interrupted)
+    return ReplayResult(count, time.perf_counter() - began, latest_s, interrupted)

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.decode import CHUNK_PACKETS, Capture, DecodeMetadata, OnSource
+from lidarcfg.capture.decode import decode_chunks
+from lidarcfg.capture.reader import CHUNK_PACKETS, CaptureReader
+from lidarcfg.capture.stream import Packets
 from lidarcfg.clouds.cloud import PointCloud, concatenate
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Times
+from lidarcfg.geometry import Array, Times
 from lidarcfg.sensors.rig import Rig
 
 BACK_RAD = math.radians(1)  # a drop of the azimuth by more means that the head has passed 0
@@ -27,27 +28,34 @@ def scans(
     rig: Rig | None = None,
     model: str | None = None,
     chunk_packets: int = CHUNK_PACKETS,
-    on_source: OnSource | None = None,
+    on_source: Callable[[str, str], None] = lambda name, family: None,
     driver: bool = False,
 ) -> Iterator[PointCloud]:
     """The scans of a capture, each in its sensor's frame, in the order in which they end; memory is bounded.
 
     A revolution begins with the first packet whose azimuth has passed 0, as velodyne_driver has it (a VLS-128's lasers
     that fire up to 8.7 us before the packet's stamp end the one before), and is no longer than a second.
-    `on_source` and `driver` are those of `DecodeMetadata`, errors those of `decode_pcap`.
+    `on_source` is called with name and family of each source before its first scan. With `driver`, clouds also have the
+    columns that the makers' ROS drivers publish. Raises PacketError and ConfigError.
     """
     if rig:
         own = tuple(replace(mount, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0)) for mount in rig.mounts)
         rig = replace(rig, mounts=own)
     heads: dict[int, Head] = defaultdict(Head)
 
-    def on_heads(sensor: int, time_ns: Times, azimuth_rad: Array) -> None:
-        heads[sensor].add(time_ns, azimuth_rad)
+    def observed() -> Iterator[list[Packets]]:
+        for chunk in CaptureReader(path, on_warning, rig, model).chunks(chunk_packets):
+            for packets in chunk:
+                sender = packets.sender
+                if sender.index not in heads:
+                    on_source(sender.name, sender.family)
+                heading_rad = packets.decoder.heading_rad(packets.data[packets.wanted])
+                heads[sender.index].add(packets.device_ns[packets.wanted], heading_rad)
+            yield chunk
 
     begun: dict[int, list[PointCloud]] = {}
     numbers: dict[int, int] = {}
-    details = DecodeMetadata(on_heads, on_source, driver)
-    for cloud in Capture(path, on_warning, rig, model, details=details).clouds(chunk_packets):
+    for cloud in decode_chunks(observed(), driver):
         for i in np.unique(cloud.sensor).tolist():
             mine = _rows(cloud, cloud.sensor == i, cloud.sensor_names[i])
             number = np.searchsorted(np.unique(heads[i].starts_ns), mine.time_ns, side="right")

@@ -31,7 +31,7 @@ class Selection:
         if not 0 <= self.from_s < self.to_s:
             raise ConfigError(f"there is nothing from {self.from_s:g} s to {self.to_s:g} s; allowed: 0 <= from < to")
 
-    def takes(self, *names: str) -> bool:
+    def includes(self, *names: str) -> bool:
         """Whether the sensor with these names is wanted."""
         return not self.sensors or not set(names).isdisjoint(self.sensors)
 
@@ -49,7 +49,7 @@ def window_ns(path: str | Path, selection: Selection) -> tuple[int, int]:
     return begin, end
 
 
-def around(path: str | Path, on_warning: Callable[[str], None], window: tuple[int, int]) -> Iterator[Datagrams]:
+def read_window(path: str | Path, on_warning: Callable[[str], None], window: tuple[int, int]) -> Iterator[Datagrams]:
     """The datagrams of a window of host times, and of MARGIN_NS before and after it. Raises PacketError."""
     if window == ALWAYS_NS:
         yield from read_batches(path, on_warning)

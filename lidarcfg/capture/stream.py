@@ -1,22 +1,48 @@
-"""One source's packets: put in order, without duplicates, decoded, counted."""
+"""The packets of one sensor: put in order, without duplicates and damaged ones, counted."""
 
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from lidarcfg.clouds.cloud import PointCloud
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array, transform
-from lidarcfg.packets.codec import Decoder, Flags, Octets, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.codec import Decoder, Returns
 
 ENOUGH = 16  # packets, to tell a model by
 HELD = 8  # packets at the end of a chunk that are held back, as others may have been overtaken by them
-ROWS = 1 << 14  # points transformed at once: for more, BLAS starts threads of its own
 
-OnHeads = Callable[[int, Times, Array], None]
+
+@dataclass(frozen=True)
+class Sender:
+    """A sensor whose packets are in a capture."""
+
+    where: str  # file and endpoint, for errors
+    name: str  # of its mount; without a rig, host:port
+    family: str  # of its packets
+    index: int  # of `sensor_names`
+    T_vehicle_sensor: Array | None  # (4, 4); None without a rig
+
+
+@dataclass(frozen=True)
+class Packets:
+    """P successive packets of one sensor in the order of its clock, those just before and after the wanted ones too."""
+
+    sender: Sender
+    sensor_names: tuple[str, ...]  # of all sensors of the capture so far
+    decoder: Decoder
+    data: Bytes  # (P, size)
+    host_ns: Times  # (P,)
+    device_ns: Times  # (P,)
+    wanted: Flags  # (P,) the others only say how the head turns
+
+    def decode(self) -> Returns:
+        """The returns of the wanted packets, in the sensor's frame. Raises PacketError for invalid packets."""
+        try:
+            return self.decoder.decode(self.data, self.host_ns, self.wanted)
+        except PacketError as error:
+            raise PacketError(f"{self.sender.where}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -33,102 +59,48 @@ class SourceStats:
     rpm: float  # mean; NaN where it is not known
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a source's points go."""
-
-    where: str  # file and endpoint, for errors
-    name: str
-    index: int  # of the sensor, in the cloud
-    T_cloud_sensor: Array | None
-    window_ns: tuple[int, int]  # host times (from, to); packets around it only say how the head turns
-
-
 class Stream:
-    """The packets of one source. Decodes them as they come, but holds the latest until their successors are known.
+    """The packets of one sensor as they come. The latest are held until their successors are known."""
 
-    `open_` makes a decoder from the first packets.
-    """
-
-    def __init__(
-        self,
-        place: Place,
-        open_: Callable[[Octets], Decoder],
-        on_heads: OnHeads | None = None,
-        driver: tuple[str, ...] = (),
-    ) -> None:
-        """`on_heads` gets sensor, device times and headings of the packets that are decoded, in their order.
-
-        Clouds also have the columns `driver`, which the decoder gives.
-        """
-        self._driver = driver
-        self.name = place.name
-        self._place = place
-        self._open = open_
-        self._on_heads = on_heads
+    def __init__(self, sender: Sender, window_ns: tuple[int, int], open_decoder: Callable[[Bytes], Decoder]) -> None:
+        """Packets are wanted that have host times within the window; `open_decoder` gets the first packets."""
+        self._sender = sender
+        self._window_ns = window_ns
+        self._open_decoder = open_decoder
         self._decoder: Decoder | None = None  # not known until enough packets have come
-        self._packets: list[Octets] = []
+        self._packets: list[Bytes] = []
         self._times_ns: list[Times] = []
-        self._decoded = 0  # how many of the kept packets are decoded: 1, the one before the next, or 0
+        self._taken = 0  # how many of the kept packets were wanted before: 1, the one before the next, or 0
         self._count: Counter[str] = Counter()
 
-    def add(self, packets: Octets, times_ns: Times) -> None:
+    def add(self, packets: Bytes, times_ns: Times) -> None:
         """More packets (P, size), and when the host saw them."""
         self._packets.append(packets)
         self._times_ns.append(times_ns)
 
-    def take(self, names: tuple[str, ...], last: bool) -> Callable[[], PointCloud] | None:
-        """A function that decodes the packets that can be decoded now; with `last`, all of them.
-
-        Raises PacketError, ConfigError; the function raises PacketError for invalid packets.
-        """
+    def take(self, sensor_names: tuple[str, ...], last: bool) -> Packets | None:
+        """The packets whose successors are known, or with `last` all of them. Raises PacketError, ConfigError."""
         packets = np.concatenate(self._packets)
         times_ns = np.concatenate(self._times_ns)
         self._packets = [packets]
         self._times_ns = [times_ns]
         if self._decoder is None and len(packets) < ENOUGH and not last:
             return None
-        decoder = self._decoder = self._decoder or self._open(packets)
+        decoder = self._decoder = self._decoder or self._open_decoder(packets)
         sound = self._sound(decoder, packets)
         packets, times_ns, device_ns = self._in_order(decoder, packets[sound], times_ns[sound])
-        stop = len(packets) if last else max(len(packets) - HELD, self._decoded)
-        wanted = (times_ns >= self._place.window_ns[0]) & (times_ns < self._place.window_ns[1])
-        wanted[: self._decoded] = wanted[stop:] = False
+        stop = len(packets) if last else max(len(packets) - HELD, self._taken)
+        wanted = (times_ns >= self._window_ns[0]) & (times_ns < self._window_ns[1])
+        wanted[: self._taken] = wanted[stop:] = False
         self._count["packets"] += int(wanted.sum())
         decoder.count(packets, wanted)
-        if self._on_heads:
-            self._on_heads(self._place.index, device_ns[wanted], decoder.heading_rad(packets[wanted]))
         keep = max(stop - 1, 0)
         self._packets = [packets[keep:].copy()]
         self._times_ns = [times_ns[keep:].copy()]
-        self._decoded = min(stop, 1)
-        return partial(self._cloud, decoder, packets, times_ns, wanted, names)
+        self._taken = min(stop, 1)
+        return Packets(self._sender, sensor_names, decoder, packets, times_ns, device_ns, wanted)
 
-    def _cloud(
-        self, decoder: Decoder, packets: Octets, times_ns: Times, wanted: Flags, names: tuple[str, ...]
-    ) -> PointCloud:
-        """The points of the wanted packets. Has no side effects."""
-        try:
-            returns = decoder.decode(packets, times_ns, wanted)
-        except PacketError as error:
-            raise PacketError(f"{self._place.where}: {error}") from None
-        xyz = returns.xyz_m
-        if self._place.T_cloud_sensor is not None:
-            for first in range(0, len(xyz), ROWS):
-                rows = xyz[first : first + ROWS]
-                rows[:] = transform(self._place.T_cloud_sensor, rows)
-        return PointCloud(
-            xyz=xyz,
-            intensity=returns.intensity,
-            ring=returns.ring,
-            time_ns=returns.time_ns,
-            sensor=np.full(len(xyz), self._place.index, np.uint16),
-            sensor_names=names,
-            return_type=returns.return_type,
-            driver=decoder.driver_columns(packets, wanted) if self._driver else {},
-        )
-
-    def _sound(self, decoder: Decoder, packets: Octets) -> Flags | slice:
+    def _sound(self, decoder: Decoder, packets: Bytes) -> Flags | slice:
         """Which packets are undamaged; counts the others. Raises PacketError unless most are undamaged."""
         try:
             decoder.check(packets)
@@ -140,7 +112,7 @@ class Stream:
             return sound
         return slice(None)
 
-    def _in_order(self, decoder: Decoder, packets: Octets, times_ns: Times) -> tuple[Octets, Times, Times]:
+    def _in_order(self, decoder: Decoder, packets: Bytes, times_ns: Times) -> tuple[Bytes, Times, Times]:
         """The packets in the order of their device times, without duplicates; their host and device times.
 
         Only packets out of order by a few places are moved; a greater step back means that the clock was set back.
@@ -153,7 +125,7 @@ class Stream:
         late_ns = np.maximum.accumulate(device_ns) - device_ns
         self._count["reordered"] += int(((late_ns > 0) & (late_ns <= HELD * decoder.period_ns)).sum())
         order = np.lexsort((device_ns, np.cumsum(anew)))
-        if self._decoded:  # stays before all that is to come
+        if self._taken:  # stays before all that is to come
             order = np.concatenate([[0], order[order != 0]])
         packets = packets[order]
         duplicate = np.append(False, (packets[1:] == packets[:-1]).all(axis=1))
@@ -162,18 +134,23 @@ class Stream:
         return packets[~duplicate], times_ns[kept], device_ns[kept]
 
     @property
+    def name(self) -> str:
+        """The sensor's."""
+        return self._sender.name
+
+    @property
     def damaged(self) -> str:
         """A warning of packets that were skipped, or nothing."""
         count = self._count["damaged"]
-        return f"{self._place.where}: {count} damaged packets are skipped" if count else ""
+        return f"{self._sender.where}: {count} damaged packets are skipped" if count else ""
 
     @property
     def packets(self) -> int:
-        """The number of packets that were decoded."""
+        """The number of wanted packets so far."""
         return self._count["packets"]
 
     def stats(self) -> SourceStats:
-        """What has been decoded."""
+        """The figures so far."""
         assert self._decoder is not None
         statistics = self._decoder.statistics()
         return SourceStats(

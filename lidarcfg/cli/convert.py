@@ -56,7 +56,7 @@ def convert(
     capture:              folder   rosbag2       a PointCloud2 per scan (SQLite)
       .pcap .pcapng       folder   rosbag2-mcap  the same as MCAP; needs --to
                           .mcap    mcap          the same as one MCAP file
-                          .bag     rosbag1       the same of ROS 1
+                          .bag     rosbag1       the same for ROS 1
                           folder   kitti-odometry  needs --truth of an export
                           folder   kitti-object  the same: labels, boxes
                           folder   nuscenes      the same: all tables
@@ -68,7 +68,7 @@ def convert(
     """
     from lidarcfg.io import formats
 
-    form = formats.chosen(source, output, name)
+    form = formats.choose_format(source, output, name)
     if form.kind != "capture" and (rig or model or truth):
         raise click.UsageError("--rig, --truth and --model are for captures")
     if form.name == "firings" and (rig or truth):
@@ -92,7 +92,7 @@ def convert(
 
 
 def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
-    """What an export noted of a capture, or none if it is a recording. Raises ConfigError, also where it is needed."""
+    """The drive that an export's manifest describes; None for a recording. Raises ConfigError where it is needed."""
     from lidarcfg.capture.manifest import load_manifest, manifest_path
     from lidarcfg.errors import ConfigError
     from lidarcfg.io.formats import FOLDERS
@@ -100,7 +100,7 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
     from lidarcfg.simulate.tasks import Drive
     from lidarcfg.units import SECOND_NS
     from lidarcfg.world.scene import load_scene
-    from lidarcfg.world.vehicle import carried
+    from lidarcfg.world.vehicle import resolve_vehicle
 
     beside = manifest_path(capture)
     if not beside.exists():
@@ -113,9 +113,10 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
         )
     manifest = load_manifest(capture)
     hint = "--rig takes the sensors' poses alone" if name not in FOLDERS and not truth else "export it again"
-    rig, scene, trajectory, vehicle = (
-        manifest.path(key, beside, hint) for key in ("rig", "scene", "trajectory", "vehicle")
-    )
+    rig = manifest.input_path("rig", hint)
+    scene = manifest.input_path("scene", hint)
+    trajectory = manifest.input_path("trajectory", hint)
+    vehicle = manifest.input_path("vehicle", hint)
     assert rig
     if not scene:
         raise ConfigError(f"{beside}: names no scene; export with the scene's file")
@@ -123,4 +124,4 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
     start_ns = nanoseconds(manifest.start)
     moved = load_trajectory(trajectory, manifest.at, start_ns)
     duration_ns = round(manifest.duration_s * SECOND_NS)
-    return Drive(mounted, load_scene(scene), moved, carried(mounted, vehicle), start_ns, duration_ns)
+    return Drive(mounted, load_scene(scene), moved, resolve_vehicle(mounted, vehicle), start_ns, duration_ns)

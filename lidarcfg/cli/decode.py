@@ -85,14 +85,14 @@ def decode(
     from dataclasses import replace
 
     from lidarcfg.capture.decode import decode_pcap
-    from lidarcfg.capture.manifest import load_manifest, manifest_path, rig_file
+    from lidarcfg.capture.manifest import load_manifest, rig_file
     from lidarcfg.capture.selection import Selection
     from lidarcfg.clouds.cloud import concatenate, save_clouds
     from lidarcfg.sensors.rig import load_rig
 
     if deskew:
         manifest = load_manifest(pcap)
-        trajectory = trajectory or manifest.path("trajectory", manifest_path(pcap))
+        trajectory = trajectory or manifest.input_path("trajectory")
         at = at or manifest.at
         start = start or manifest.start
     rig = rig_file(pcap, rig)

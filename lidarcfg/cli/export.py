@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lidarcfg.sensors.rig import ReturnMode, Rig
-    from lidarcfg.simulate.simulator import Counts
-    from lidarcfg.simulate.tasks import Drive, Run
+    from lidarcfg.simulate.simulator import RayCounts
+    from lidarcfg.simulate.tasks import Drive, SimulationOptions
 
     OnPath = Callable[[Path], None]
     Size = Callable[[float], str]  # of the files, as far as it is known when a fraction of the work is done
@@ -108,9 +108,9 @@ def export(
     .pcap       packets
     .ply .npz   one cloud, each point's object, boxes
     .pcd        the same without boxes
-    .mcap       points, objects, boxes, /tf of ROS 2
-    .bag        rosbag1: the same of ROS 1
-    folder      rosbag2, rosbag2-mcap: of ROS 2
+    .mcap       points, objects, boxes, /tf for ROS 2
+    .bag        rosbag1: the same for ROS 1
+    folder      rosbag2, rosbag2-mcap: for ROS 2
     folder      kitti-odometry, kitti-object,
                 nuscenes: each needs --to
     """
@@ -124,11 +124,11 @@ def export(
         from lidarcfg.sensors.rig import NO_VEHICLE, load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
-        from lidarcfg.world.vehicle import carried, check_outside
+        from lidarcfg.world.vehicle import check_outside, resolve_vehicle
 
         mounted = _in_mode(load_rig(rig), return_mode)
         world = load_scene(scene)
-        bodies = carried(mounted, vehicle)
+        bodies = resolve_vehicle(mounted, vehicle)
         if bodies:
             check_outside(bodies, mounted.mounts, rig)
     warn_of(bodies)
@@ -149,7 +149,7 @@ def export(
         check_replaceable(manifest_path(path))
 
     def save(path: Path) -> None:
-        save_manifest(path, files, mounted, world, bodies, values)
+        save_manifest(path, files, drive, values)
 
     if output.suffix == ".pcap" and name is None:
         if deskew:
@@ -172,7 +172,7 @@ class Rays:
     traced: int = 0
     hits: int = 0
 
-    def add(self, counts: "Counts") -> None:
+    def add(self, counts: "RayCounts") -> None:
         """Count those of a chunk."""
         self.traced += counts.rays
         self.hits += counts.hits
@@ -184,9 +184,9 @@ class Rays:
 
 
 @contextmanager
-def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[Run]":
+def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[SimulationOptions]":
     """A run with a progress bar, which says how large the files will be, and counts the rays."""
-    from lidarcfg.simulate.tasks import Run
+    from lidarcfg.simulate.tasks import SimulationOptions
 
     began = time.perf_counter()
 
@@ -199,7 +199,7 @@ def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator
             on_fraction(done_ns / duration_ns, said)
 
         on_fraction(0.0, f"simulating {duration_ns / SECOND_NS:g} s; {size(0.0)} in all")
-        yield Run(on_progress, rays.add)
+        yield SimulationOptions(on_progress, rays.add)
 
 
 def _export_packets(
@@ -214,7 +214,7 @@ def _export_packets(
     """Write one pcap, or with `split` one of each sensor, and the files that readers need. Returns what to print."""
     from contextlib import ExitStack
 
-    from lidarcfg.capture import export as capture
+    from lidarcfg.capture.export import data_bytes, in_time_order, save_sidecar_files, simulated_frames
     from lidarcfg.capture.ground_truth import TruthFile
     from lidarcfg.capture.pcap import write_pcap
     from lidarcfg.inputs import check_room, format_bytes
@@ -224,12 +224,12 @@ def _export_packets(
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
     mounts = drive.rig.mounts
     names = [mount.name for mount in mounts]
-    size = capture.data_bytes(drive)
+    size = data_bytes(drive)
     check_room(paths[0], size, LESS)
     with _run(drive.duration_ns, lambda done: f"about {format_bytes(size)}", rays, quiet) as run, ExitStack() as stack:
         objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
-        streams = capture.export(
+        streams = simulated_frames(
             drive.rig,
             drive.scene,
             drive.trajectory,
@@ -242,16 +242,16 @@ def _export_packets(
         if split:
             counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
             pairs = zip(paths, mounts, strict=True)
-            companions = [one for path, mount in pairs for one in capture.save_companions(path, [mount])]
+            sidecars = [one for path, mount in pairs for one in save_sidecar_files(path, [mount])]
         else:
-            counts = [write_pcap(paths[0], capture.in_time_order(streams))]
-            companions = capture.save_companions(paths[0], mounts)
+            counts = [write_pcap(paths[0], in_time_order(streams))]
+            sidecars = save_sidecar_files(paths[0], mounts)
         records = beside.save() if beside else 0
         for path in paths:
             save_manifest(path)
     duration = f"{drive.duration_ns / SECOND_NS:g} s"
     lines = [f"{path}: {count:,} packets, {duration}" for path, count in zip(paths, counts, strict=True)]
-    lines += [f"{path}: readers of the capture need it, too" for path in companions]
+    lines += [f"{path}: readers of the capture need it, too" for path in sidecars]
     return lines + [f"{truth}: {records:,} returns"] * bool(truth)
 
 

@@ -1,7 +1,4 @@
-"""The command line: its help page and its exit codes.
-
-Each module of `commands` reads inputs, makes one library call and prints one table.
-"""
+"""The command line: its help page and its exit codes."""
 
 import gc
 import io
@@ -20,8 +17,8 @@ from lidarcfg.cli.decode import decode
 from lidarcfg.cli.evaluate import evaluate
 from lidarcfg.cli.export import export
 from lidarcfg.cli.files import init, schema, validate
-from lidarcfg.cli.interrupts import Interrupts
 from lidarcfg.cli.optimize import optimize
+from lidarcfg.cli.progress import Interrupts
 from lidarcfg.cli.replay import replay
 from lidarcfg.cli.sensors import sensors
 from lidarcfg.cli.sweep import sweep

@@ -36,7 +36,7 @@ def replay(pcap: Path, target: str, speed: float, loop: bool, from_s: float, to_
 
     The datagrams keep the pace of the recording, times --speed.
     """
-    from lidarcfg.capture.replay import looped, selected
+    from lidarcfg.capture.replay import read_selected, repeat
     from lidarcfg.capture.replay import replay as send
     from lidarcfg.capture.selection import Selection
 
@@ -46,9 +46,9 @@ def replay(pcap: Path, target: str, speed: float, loop: bool, from_s: float, to_
     selection = Selection(from_s, to_s)
 
     def read() -> "Iterator[Datagram]":
-        return selected(pcap, warn, selection)
+        return read_selected(pcap, warn, selection)
 
-    sent = send(looped(read) if loop else read(), host, int(port) if port else None, speed)
+    sent = send(repeat(read) if loop else read(), host, int(port) if port else None, speed)
     if not quiet:
         late = f"at most {sent.latest_s * 1000:.1f} ms late"
         click.echo(f"{sent.packets:,} datagrams to {target} in {sent.seconds:.2f} s, {late}")

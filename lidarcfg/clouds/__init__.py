@@ -1,4 +1,8 @@
-"""Point clouds, and their files: PLY, PCD, NPZ, LAS."""
+"""Point clouds, and their files: PLY, PCD, NPZ, LAS.
+
+To read in this order: `cloud` has the columns of a cloud, writes and reads its files; `rows` reads the tables in PLY
+and PCD, ours or another program's; `las` is LAS and LAZ.
+"""
 
 import lazy_loader
 

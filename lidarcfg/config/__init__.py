@@ -1,6 +1,7 @@
 """Our YAML files: strict models whose errors name file, line and key.
 
-To read in this order: `document` reads YAML 1.2 with line numbers, `models` checks it, `kinds` tells our files apart.
+To read in this order: `document` reads YAML 1.2 with line numbers, `models` checks it against a pydantic model, `kinds`
+tells our files apart.
 """
 
 import lazy_loader

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
-Octets = NDArray[np.uint8]
+Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
 
 class Returns(Protocol):
@@ -21,13 +21,13 @@ class Returns(Protocol):
     @property
     def time_ns(self) -> Times: ...
     @property
-    def laser(self) -> Octets: ...
+    def laser(self) -> Bytes: ...
     @property
-    def ring(self) -> Octets: ...
+    def ring(self) -> Bytes: ...
     @property
-    def intensity(self) -> Octets: ...
+    def intensity(self) -> Bytes: ...
     @property
-    def return_type(self) -> Octets: ...
+    def return_type(self) -> Bytes: ...
 
 class Lasers(Protocol):
     """The lasers of a sensor whose packets are blocks."""
@@ -45,7 +45,7 @@ class Lasers(Protocol):
     @property
     def distance_offset(self) -> Array: ...
     @property
-    def ring(self) -> Octets: ...
+    def ring(self) -> Bytes: ...
     @property
     def near_offset(self) -> Array: ...
     @property
@@ -61,7 +61,7 @@ class Slots(Protocol):
     @property
     def offset_ns(self) -> Times: ...
     @property
-    def kind(self) -> Octets: ...
+    def kind(self) -> Bytes: ...
     @property
     def other(self) -> Times: ...
 
@@ -91,7 +91,7 @@ class HesaiLasers(Protocol):
     @property
     def sin_offset(self) -> Array: ...
     @property
-    def ring(self) -> Octets: ...
+    def ring(self) -> Bytes: ...
     @property
     def offset_ns(self) -> Times: ...
     @property
@@ -103,17 +103,17 @@ class PacketFields(Protocol):
     """What Hesai packets say beside their blocks."""
 
     @property
-    def unit_mm(self) -> Octets: ...
+    def unit_mm(self) -> Bytes: ...
     @property
     def stamp_ns(self) -> Times: ...
     @property
     def dual(self) -> Flags: ...
     @property
-    def loop(self) -> Octets: ...
+    def loop(self) -> Bytes: ...
     @property
-    def near(self) -> Octets: ...
+    def near(self) -> Bytes: ...
     @property
-    def far(self) -> Octets: ...
+    def far(self) -> Bytes: ...
 
 class VelodyneDecoder:
     """Decodes data packets (P, 1206) of one sensor."""
@@ -121,10 +121,10 @@ class VelodyneDecoder:
     def __init__(self, slots: Slots, lasers: Lasers, period_ns: int, group_ns: int, unit_m: float) -> None:
         """Copies the tables. From packet to packet it is period_ns, from group to group of blocks group_ns."""
 
-    def count(self, packets: Octets, wanted: Flags) -> int:
+    def count(self, packets: Bytes, wanted: Flags) -> int:
         """How many returns the packets that are wanted (P,) hold at most."""
 
-    def decode(self, packets: Octets, wanted: Flags, stamp_ns: Times, gap_ns: Times, kind: Octets, out: Returns) -> int:
+    def decode(self, packets: Bytes, wanted: Flags, stamp_ns: Times, gap_ns: Times, kind: Bytes, out: Returns) -> int:
         """Fill in an entry for each return of the packets that are wanted (P,); returns how many.
 
         Stamps, the times to the next ones (0 for the last) and the types of single returns are (P,).
@@ -134,9 +134,9 @@ class RobosenseDecoder:
     """The same of MSOP packets (P, 1248)."""
 
     def __init__(self, slots: Slots, lasers: Lasers, period_ns: int, group_ns: int, unit_m: float) -> None: ...
-    def count(self, packets: Octets, wanted: Flags) -> int: ...
+    def count(self, packets: Bytes, wanted: Flags) -> int: ...
     def decode(
-        self, packets: Octets, wanted: Flags, stamp_ns: Times, gap_ns: Times, kind: Octets, out: Returns
+        self, packets: Bytes, wanted: Flags, stamp_ns: Times, gap_ns: Times, kind: Bytes, out: Returns
     ) -> int: ...
 
 class HesaiDecoder:
@@ -145,17 +145,17 @@ class HesaiDecoder:
     def __init__(self, lasers: HesaiLasers) -> None:
         """Copies the tables."""
 
-    def count(self, packets: Octets, wanted: Flags) -> int:
+    def count(self, packets: Bytes, wanted: Flags) -> int:
         """How many returns the packets that are wanted (P,) hold at most."""
 
-    def decode(self, packets: Octets, wanted: Flags, fields: PacketFields, out: Returns) -> int:
+    def decode(self, packets: Bytes, wanted: Flags, fields: PacketFields, out: Returns) -> int:
         """Fill in an entry for each return of the packets that are wanted (P,); returns how many."""
 
 def velodyne_turning(azimuth: NDArray[np.uint16], gap_ns: Times, period_ns: int, group_ns: int) -> tuple[Array, Times]:
     """Steps in hundredths (P, G) to the next azimuth, of azimuths (P, G); and how late each group is."""
 
 def write_velodyne_returns(
-    range_m: Array, reflectivity: Octets, number: Times, offset_m: Array, limits: Sequence[float], packets: Octets
+    range_m: Array, reflectivity: Bytes, number: Times, offset_m: Array, limits: Sequence[float], packets: Bytes
 ) -> None:
     """Write into packets (P, 1206): slot s holds return number[s] of range_m and reflectivity (P, N).
 
@@ -163,41 +163,41 @@ def write_velodyne_returns(
     """
 
 def write_robosense_returns(
-    range_m: Array, reflectivity: Octets, number: Times, offset_m: Array, limits: Sequence[float], packets: Octets
+    range_m: Array, reflectivity: Bytes, number: Times, offset_m: Array, limits: Sequence[float], packets: Bytes
 ) -> None:
     """The same of packets (P, 1248)."""
 
 def write_velodyne_near_returns(
     range_m: Array,
-    reflectivity: Octets,
+    reflectivity: Bytes,
     azimuth: Array,
     number: Times,
     laser: Times,
     lasers: NearLasers,
     limits: Sequence[float],
-    packets: Octets,
+    packets: Bytes,
 ) -> None:
     """Write those returns again whose distances are corrected for x and y apart: at azimuth (P, N or N / 2)."""
 
-def uncorrect_velodyne_intensities(laser: Times, focal: Array, packets: Octets) -> None:
+def uncorrect_velodyne_intensities(laser: Times, focal: Array, packets: Bytes) -> None:
     """Write intensities again: those that the corrections (L, 4) make what they are, or come nearest."""
 
 def write_hesai_returns(
     range_m: Array,
-    reflectivity: Octets,
-    laser: Octets,
+    reflectivity: Bytes,
+    laser: Bytes,
     column: Times,
     inside: Flags,
     limits: Sequence[float],
     lasers: int,
-    packets: Octets,
+    packets: Bytes,
 ) -> None:
     """Write into packets (P, size): block b holds column[b] of range_m and reflectivity (P, G F, R).
 
     Those are of laser (P, G F), if the group of blocks is inside (P, G).
     """
 
-def crc32_mpeg2(packets: Octets, first: int, end: int) -> NDArray[np.uint32]:
+def crc32_mpeg2(packets: Bytes, first: int, end: int) -> NDArray[np.uint32]:
     """The CRC (P,) of each packet's bytes from first until end."""
 
 def fire(

@@ -1,1 +1,10 @@
-"""Conversion: rigs, clouds and captures in the formats of other tools."""
+"""From and to other tools: rigs, clouds, captures and drives in their formats.
+
+To read in this order: `formats` lists them and converts; `export` is a simulation in one call; `drive_dataset` a drive
+with its ground truth, as data sets have it. Each of the others is a format: of rigs `urdf`, `launch`, `carla`; of ROS
+`bag`, with `messages` and `frames`; of data sets `kitti` and `nuscenes`; of recordings `firings`, with `repack`.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -35,8 +35,8 @@ BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap")
 URI_SIGNS = "?#%"  # have other meanings in the file: URI that rosbags passes to SQLite
 
 OnWarning = Callable[[str], None]
-Timed = Iterator[tuple[str, Any, int]]  # topic, message, and the time at which a driver would have sent it
-Made = Callable[[Messages], Timed]
+TimedMessages = Iterator[tuple[str, Any, int]]  # topic, message, and the time at which a driver would have sent it
+MessageSource = Callable[[Messages], TimedMessages]
 
 
 def save_bag(path: Path, source: Path, storage: str, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
@@ -44,18 +44,18 @@ def save_bag(path: Path, source: Path, storage: str, rig: Rig | None, model: str
 
     `storage` is sqlite3 or mcap, a folder, or ros1, a file. Raises ConversionError, and what `scans` raises.
     """
-    return write_bag(path, storage, _of_capture(source, rig, model, on_warning))
+    return write_bag(path, storage, _capture_messages(source, rig, model, on_warning))
 
 
 def save_mcap(path: Path, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
     """Write the capture `source` as one .mcap, whole or not at all; return the number of messages."""
-    return write_mcap(path, _of_capture(source, rig, model, on_warning))
+    return write_mcap(path, _capture_messages(source, rig, model, on_warning))
 
 
-def write_bag(path: Path, storage: str, made: Made) -> int:
+def write_bag(path: Path, storage: str, made: MessageSource) -> int:
     """Write messages as a bag, whole or not at all, and return their number."""
     if storage == "ros1":
-        return _file(path, lambda aside: (_write(aside / path.name, storage, made), aside / path.name))
+        return _write_file(path, lambda aside: (_write(aside / path.name, storage, made), aside / path.name))
     whole = Path(os.path.realpath(resolve(path)))
     if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(whole))):
         raise ConversionError(f"{whole}: rosbags cannot write a bag to a path with {' '.join(sorted(signs))}")
@@ -63,17 +63,17 @@ def write_bag(path: Path, storage: str, made: Made) -> int:
         return _write(folder, storage, made)
 
 
-def write_mcap(path: Path, made: Made) -> int:
+def write_mcap(path: Path, made: MessageSource) -> int:
     """Write messages as one .mcap, whole or not at all, and return their number."""
 
     def write(aside: Path) -> tuple[int, Path]:
         folder = aside / path.stem
         return _write(folder, "mcap", made), folder / f"{folder.name}.mcap"
 
-    return _file(path, write)
+    return _write_file(path, write)
 
 
-def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
+def _write_file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
     """Have a file written in a temporary folder, then move it into place; returns what `write` counted."""
     if path.exists() and not path.is_file():
         raise ConversionError(f"{path}: is not a file; give the name of a new one")
@@ -84,8 +84,8 @@ def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
     return count
 
 
-def _write(path: Path, storage: str, made: Made) -> int:
-    """A new bag."""
+def _write(path: Path, storage: str, made: MessageSource) -> int:
+    """Write messages to a new bag, and return their number."""
     try:
         from rosbags.rosbag1 import Writer as Writer1
         from rosbags.rosbag2 import StoragePlugin
@@ -109,10 +109,10 @@ def _write(path: Path, storage: str, made: Made) -> int:
                 kind = message.__msgtype__
                 if topic not in connections:
                     lasting = topic == TF_STATIC
-                    how = (
-                        {"latching": int(lasting)} if version == 1 else {"offered_qos_profiles": [_latched()] * lasting}
-                    )
-                    connections[topic] = writer.add_connection(topic, kind, typestore=store, **how)
+                    qos: dict[str, Any] = {"latching": int(lasting)}
+                    if version == 2:
+                        qos = {"offered_qos_profiles": [_latched_qos()] * lasting}
+                    connections[topic] = writer.add_connection(topic, kind, typestore=store, **qos)
                 writer.write(connections[topic], time_ns, serialize(message, kind))
                 count += 1
     except sqlite3.Error as error:
@@ -120,17 +120,17 @@ def _write(path: Path, storage: str, made: Made) -> int:
     return count
 
 
-def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning) -> Made:
+def _capture_messages(source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning) -> MessageSource:
     """The messages of a capture. Raises PacketError if it holds no return."""
 
-    def made(messages: Messages) -> Timed:
+    def made(messages: Messages) -> TimedMessages:
         names = ros_names(rig, on_warning) if rig else {}
         seen: set[str] = set()
         families: dict[str, str] = {}
         for scan in scans(source, on_warning, rig, model, on_source=families.__setitem__, driver=True):
             _check_time(int(scan.time_ns.max()), source)
             if rig and not seen:
-                yield TF_STATIC, _mounted(messages, rig, names, stamp_ns(scan)), stamp_ns(scan)
+                yield TF_STATIC, _sensor_transforms(messages, rig, names, stamp_ns(scan)), stamp_ns(scan)
             (name,) = scan.sensor_names
             if name not in names:
                 names[name] = ros_name(name)
@@ -145,18 +145,18 @@ def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: On
     return made
 
 
-def of_dataset(dataset: DriveDataset, where: Path, on_warning: OnWarning) -> Made:
+def dataset_messages(dataset: DriveDataset, where: Path, on_warning: OnWarning) -> MessageSource:
     """The messages of a drive: poses of the vehicle and its sensors, points with their objects, boxes of objects.
 
     If the points' objects are not known, there are boxes of all objects that have one.
     """
     rig = dataset.drive.rig
 
-    def made(messages: Messages) -> Timed:
+    def made(messages: Messages) -> TimedMessages:
         names = ros_names(rig, on_warning)
         start_ns = dataset.drive.start_ns
         _check_time(start_ns + dataset.drive.duration_ns, where)
-        yield TF_STATIC, _mounted(messages, rig, names, start_ns), start_ns
+        yield TF_STATIC, _sensor_transforms(messages, rig, names, start_ns), start_ns
         pose_ns = start_ns
         for scan in dataset.scans:
             name = names[scan.sensor_names[0]]
@@ -193,18 +193,18 @@ def _check_time(last_ns: int, where: Path) -> None:
 
 
 def _points(messages: Messages, scan: PointCloud, fields: tuple[PointField, ...], frame: str) -> tuple[str, Any, int]:
-    """A scan's message."""
+    """Topic, PointCloud2 and time of a scan."""
     message = messages.points(scan, fields, frame, stamp_ns(scan))
     return f"/{frame}/points", message, int(scan.time_ns.max())
 
 
-def _mounted(messages: Messages, rig: Rig, names: dict[str, str], at_ns: int) -> Any:
+def _sensor_transforms(messages: Messages, rig: Rig, names: dict[str, str], at_ns: int) -> Any:
     """The sensors' poses on the vehicle."""
     poses = {names[mount.name]: mount.T_vehicle_sensor for mount in rig.mounts}
     return messages.transforms(poses, BASE_LINK, at_ns)
 
 
-def _latched() -> Any:
+def _latched_qos() -> Any:
     """The QoS of transforms that never change: late subscribers get them, too."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 

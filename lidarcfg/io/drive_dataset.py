@@ -19,7 +19,7 @@ from lidarcfg.geometry import Array, inverse, transform
 from lidarcfg.io.frames import quaternion_xyzw
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.tasks import Drive, object_names
-from lidarcfg.world.boxes import Boxed, Boxes, boxed, boxes_at
+from lidarcfg.world.boxes import BoxedObject, Boxes, boxed_objects, boxes_at
 
 OnWarning = Callable[[str], None]
 
@@ -33,13 +33,13 @@ class DriveDataset:
     packets: bool = False  # whether points come from packets: bags have them as the makers' drivers do
 
     @cached_property
-    def objects(self) -> tuple[Boxed, ...]:
+    def objects(self) -> tuple[BoxedObject, ...]:
         """The objects that have boxes."""
-        return boxed(self.drive.scene)
+        return boxed_objects(self.drive.scene)
 
     @cached_property
     def mounts(self) -> dict[str, Mount]:
-        """By name."""
+        """The rig's mounts by name."""
         return {mount.name: mount for mount in self.drive.rig.mounts}
 
     def mount(self, scan: PointCloud) -> Mount:
@@ -47,7 +47,7 @@ class DriveDataset:
         return self.mounts[scan.sensor_names[0]]
 
     def T_world_vehicle(self, time_ns: int) -> Array:
-        """(4, 4) at a time."""
+        """(4, 4) the pose of the vehicle at a time."""
         return self.drive.trajectory.pose(time_ns)
 
     def T_world_sensor(self, scan: PointCloud, time_ns: int) -> Array:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.capture import export as packets
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.manifest import manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import write_pcap
@@ -64,8 +64,8 @@ def export(
         form = formats.format_of("drive", output, to)
         formats.save_dataset(output, form, DriveDataset(drive, simulated_scans(drive)), False, on_warning)
     else:
-        streams = packets.export(rig, scene, moved, drive.duration_ns, vehicle=drive.vehicle)
-        write_pcap(output, packets.in_time_order(streams))
-        packets.save_companions(output, rig.mounts)
+        streams = simulated_frames(rig, scene, moved, drive.duration_ns, vehicle=drive.vehicle)
+        write_pcap(output, in_time_order(streams))
+        save_sidecar_files(output, rig.mounts)
     remove_outdated(inputs.outdated(output))
     inputs.save(output, drive, on_warning)

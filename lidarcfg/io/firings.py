@@ -13,15 +13,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.decode import Capture
 from lidarcfg.capture.pcapng import SECTION
+from lidarcfg.capture.reader import CaptureReader
 from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.config.models import COORDINATE_MAX_M, loads
 from lidarcfg.errors import CloudError, ConfigError, ConversionError, PacketError
 from lidarcfg.files import replacing
-from lidarcfg.io.repack import CUTS, pieces, read_records
-from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets
+from lidarcfg.geometry import Bytes
+from lidarcfg.io.repack import CUTS, capture_bytes, read_records
+from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.sensors.rig import DATA_PORT, FIRST_HOST, RPM, SINGLE, TELEMETRY_PORT, Mount
 from lidarcfg.sensors.sensor import Reported, Sensor
 
@@ -44,7 +46,7 @@ ANY_RANGE = Reported(source="as recorded", min_m=0, max_m=COORDINATE_MAX_M)
 OnWarning = Callable[[str], None]
 
 
-class Counted(NamedTuple):
+class ConvertedSize(NamedTuple):
     """The size of a converted recording."""
 
     firings: int
@@ -60,7 +62,7 @@ class Source:
     sensor: Sensor
     found: Measurements
 
-    def packets(self) -> Octets:
+    def packets(self) -> Bytes:
         """(P, size): what its firings make, whatever limits of range exports keep."""
         sensor = self.sensor
         if sensor.range:
@@ -77,10 +79,10 @@ class Source:
             rpm=RPM,
             return_mode=self.found.return_mode,  # type: ignore[arg-type]  # a text that was checked when it was read
         )
-        return codec(sensor).packed(mount, self.found)
+        return codec(sensor).encode_measurements(mount, self.found)
 
 
-def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWarning) -> Counted:
+def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWarning) -> ConvertedSize:
     """Write a capture as firings, whole or not at all. Raises LidarcfgError.
 
     What a sensor sends in several return modes are as many sources. Packets whose family has no way back to firings, or
@@ -90,8 +92,8 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
     sources = list[dict[str, Any]]()
     kept = list[str]()
     arrays: dict[str, NDArray[Any]] = {}
-    counted = Counted(0, 0, 0)
-    for recorded in Capture(capture, on_warning, model=model).sources():
+    counted = ConvertedSize(0, 0, 0)
+    for recorded in CaptureReader(capture, on_warning, model=model).recordings():
         mine = records.of(recorded.name, recorded.packets.shape[1])
         maker = codec(recorded.sensor)
         modes = maker.return_modes(recorded.source, mine.packets)
@@ -107,9 +109,9 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
             columns = _columns(one, packets)
             arrays |= {f"{len(sources)}/{key}": value for key, value in columns.items()}
             records.take(mine, rows, len(sources))
-            sources.append(_said(one, packets.shape[1]))
+            sources.append(_describe_source(one, packets.shape[1]))
             rest = counted.rest + len(columns["rest"])
-            counted = Counted(counted.firings + len(columns["laser"]), counted.packets + len(packets), rest)
+            counted = ConvertedSize(counted.firings + len(columns["laser"]), counted.packets + len(packets), rest)
     if not sources:
         raise ConversionError(f"{capture}: no packets can be converted to firings; {'; '.join(kept)}")
     if kept:
@@ -125,20 +127,20 @@ def save_capture(path: Path, firings: Path) -> int:
 
     Raises LidarcfgError.
     """
-    said = _read_said(firings)
+    said = _read_descriptions(firings)
     names = [f"{i}/{key}" for i, one in enumerate(said) for key in (*COLUMNS, *(f"more/{key}" for key in one["more"]))]
     columns = read_arrays(firings, (*FILE_COLUMNS, *names))
-    records = {key: _checked(firings, columns, key, kind) for key, kind in FILE_COLUMNS.items()}
+    records = {key: _checked_column(firings, columns, key, kind) for key, kind in FILE_COLUMNS.items()}
     suffix = ".pcapng" if records["raw"][:4].tobytes() == SECTION else ".pcap"
     if path.suffix.lower() != suffix:
         raise ConversionError(f"{firings}: holds a {suffix[1:]}; the output's suffix must be {suffix}")
     parts = []
     for number, one in enumerate(said):
-        mine = {key: _checked(firings, columns, f"{number}/{key}", kind) for key, kind in COLUMNS.items()}
-        more = {key: _more(firings, columns, f"{number}/more/{key}", kind) for key, kind in one["more"].items()}
+        mine = {key: _checked_column(firings, columns, f"{number}/{key}", kind) for key, kind in COLUMNS.items()}
+        more = {key: _extra_column(firings, columns, f"{number}/more/{key}", kind) for key, kind in one["more"].items()}
         parts.append(_packets(firings, number, one, mine, more))
     with replacing(path, "wb") as file:
-        for piece in pieces(firings, records, parts):
+        for piece in capture_bytes(firings, records, parts):
             file.write(piece)
     return sum(map(len, parts))
 
@@ -148,7 +150,7 @@ def is_firings(path: Path) -> bool:
     return "sources" in read_arrays(path, ("sources",))
 
 
-def _columns(one: Source, recorded: Octets) -> dict[str, NDArray[Any]]:
+def _columns(one: Source, recorded: Bytes) -> dict[str, NDArray[Any]]:
     """The columns of a source, and what of its packets (P, size) they do not say."""
     made = one.packets().ravel()
     rest_at = np.flatnonzero(made != recorded.ravel())
@@ -168,7 +170,7 @@ def _columns(one: Source, recorded: Octets) -> dict[str, NDArray[Any]]:
     }
 
 
-def _said(one: Source, size: int) -> dict[str, Any]:
+def _describe_source(one: Source, size: int) -> dict[str, Any]:
     """What is needed to encode a source's columns as packets again."""
     return {
         "name": one.name,
@@ -182,7 +184,7 @@ def _said(one: Source, size: int) -> dict[str, Any]:
     }
 
 
-def _read_said(path: Path) -> list[dict[str, Any]]:
+def _read_descriptions(path: Path) -> list[dict[str, Any]]:
     """The descriptions of the sources in a file."""
     found = read_arrays(path, ("sources",)).get("sources")
     try:
@@ -198,7 +200,7 @@ def _read_said(path: Path) -> list[dict[str, Any]]:
     return sources
 
 
-def _checked(path: Path, columns: Mapping[str, NDArray[Any]], key: str, kind: str) -> NDArray[Any]:
+def _checked_column(path: Path, columns: Mapping[str, NDArray[Any]], key: str, kind: str) -> NDArray[Any]:
     """A column of the file, of the right type."""
     if key not in columns:
         raise CloudError(f"{path}: {key}: missing")
@@ -210,7 +212,7 @@ def _checked(path: Path, columns: Mapping[str, NDArray[Any]], key: str, kind: st
     return found
 
 
-def _more(path: Path, columns: Mapping[str, NDArray[Any]], key: str, kind: Any) -> NDArray[Any]:
+def _extra_column(path: Path, columns: Mapping[str, NDArray[Any]], key: str, kind: Any) -> NDArray[Any]:
     """A column of a family's own, as it was recorded but for its values."""
     found = columns.get(key)
     if found is None or [found.dtype.str, list(found.shape)] != kind:
@@ -224,7 +226,7 @@ def _packets(
     said: Mapping[str, Any],
     columns: Mapping[str, NDArray[Any]],
     more: Mapping[str, NDArray[Any]],
-) -> Octets:
+) -> Bytes:
     """(P, size): the packets of a source."""
     sensor = loads(json.dumps(said["sensor"]), Sensor, f"{path}: {number}/sensor")
     lengths = {"number": "packets", "host_ns": "packets", "rest_at": "", "rest": ""}

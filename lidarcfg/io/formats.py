@@ -76,9 +76,9 @@ FOLDERS = {  # what stands in those of a drive
 STORAGES = {"rosbag1": "ros1", "rosbag2": "sqlite3", "rosbag2-mcap": "mcap"}
 
 
-def chosen(source: Path, output: Path, name: str | None) -> Format:
+def choose_format(source: Path, output: Path, name: str | None) -> Format:
     """The format called `name`, or the first with OUTPUT's suffix. Raises ConversionError."""
-    return format_of(_kind(source), output, name)
+    return format_of(_kind_of(source), output, name)
 
 
 def format_of(kind: Kind, output: Path, name: str | None) -> Format:
@@ -108,7 +108,7 @@ def _failed(kind: Kind) -> str:
     return "an export is not written as" if kind == "drive" else f"a {kind} does not convert to"
 
 
-def _kind(source: Path) -> Kind:
+def _kind_of(source: Path) -> Kind:
     if source.suffix.lower() == ".npz":
         from lidarcfg.io.firings import is_firings
 
@@ -156,9 +156,9 @@ def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bo
         return f"{save_points(output, dataset, deskew):,} points"
     if form.name in FOLDERS:
         return f"{_save_folder(output, form.name, dataset):,} scans"
-    from lidarcfg.io.bag import of_dataset, write_bag, write_mcap
+    from lidarcfg.io.bag import dataset_messages, write_bag, write_mcap
 
-    made = of_dataset(dataset, output, on_warning)
+    made = dataset_messages(dataset, output, on_warning)
     if form.name == "mcap":
         return f"{write_mcap(output, made):,} messages"
     return f"{write_bag(output, STORAGES[form.name], made):,} messages"
@@ -204,7 +204,7 @@ def _convert_firings(source: Path, output: Path, form: Format, model: str | None
 
 
 def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:
-    cloud = _load(source, on_warning)
+    cloud = _load_cloud(source, on_warning)
     if cloud.object is not None and name in ("las", "laz", "kitti"):
         on_warning(f"{output}: {name} has no objects of points")
     if name in ("las", "laz"):
@@ -220,7 +220,7 @@ def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning)
     return f"{len(cloud.xyz):,} points"
 
 
-def _load(source: Path, on_warning: OnWarning) -> PointCloud:
+def _load_cloud(source: Path, on_warning: OnWarning) -> PointCloud:
     suffix = source.suffix.lower()
     if suffix in (".las", ".laz"):
         from lidarcfg.clouds.las import load_las

@@ -21,7 +21,7 @@ from lidarcfg.inputs import check_memory, check_regular
 from lidarcfg.io.drive_dataset import DriveDataset, hits, stamp_ns
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.boxes import Boxes
-from lidarcfg.world.categories import NAMES, OUTLIER
+from lidarcfg.world.categories import DATASET_NAMES, OUTLIER
 from lidarcfg.world.scene import Scene
 
 FULL = 255  # the intensity that is a reflectance of 1
@@ -157,7 +157,7 @@ def _labels(scene: Scene, dataset: DriveDataset) -> NDArray[np.uint32]:
     found = np.zeros(len(scene.names) + own + 1, np.uint32)
     found[-1] = OUTLIER
     for i, (item, motion) in enumerate(zip(scene.items, scene.motions, strict=True)):
-        names = NAMES[item.category]
+        names = DATASET_NAMES[item.category]
         found[i] = names.moving if motion else names.label
     if len(dataset.objects) > INSTANCE_MAX:
         raise ConversionError(f"{len(dataset.objects)} objects have boxes; SemanticKITTI has {INSTANCE_MAX} instances")
@@ -177,7 +177,7 @@ def _object_lines(boxes: Boxes, T_camera_world: Array) -> list[str]:
         truncated, image = _in_image(transform(T, CORNERS * one.size_m))
         alpha = NO_ALPHA if image == NO_BOX else _angle(turned - float(np.arctan2(x, z)))
         numbers = (*image, height_m, width_m, length_m, x, y, z, turned)
-        kind = NAMES[one.category].kitti or NAMES[None].kitti
+        kind = DATASET_NAMES[one.category].kitti or DATASET_NAMES[None].kitti
         words = f"{kind} {truncated:.2f} {OCCLUSION_UNKNOWN} {alpha:.6f}"
         lines.append(" ".join([words, *(f"{number:.6f}" for number in numbers)]))
     return lines

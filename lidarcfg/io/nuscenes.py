@@ -21,8 +21,8 @@ from lidarcfg.io.drive_dataset import DriveDataset, stamp_ns
 from lidarcfg.io.frames import quaternion_xyzw
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.boxes import Boxed, Boxes, boxes_at
-from lidarcfg.world.categories import NAMES
+from lidarcfg.world.boxes import BoxedObject, Boxes, boxes_at
+from lidarcfg.world.categories import DATASET_NAMES
 
 TOKENS = uuid.UUID("4d0e4bd4-9c4e-5b7c-8a55-0d6c2f9b7a11")  # ours; the same rig gives the same tokens
 VERSION = "v1.0-lidarcfg"  # the folder of the tables
@@ -78,7 +78,7 @@ class _Sample:
 
     @property
     def stamp_ns(self) -> int:
-        """The first sensor's."""
+        """The time of the first sensor's scan."""
         return self.scans[0].stamp_ns
 
 
@@ -124,7 +124,7 @@ class _Tables:
         self._of_scan = {scan: sample for sample in self._samples for scan in map(id, sample.scans)}
 
     def _token(self, *words: object) -> str:
-        """Of a row: the same drive gives the same tokens."""
+        """The token of a row, from what the row is about: the same drive gives the same tokens."""
         return uuid.uuid5(TOKENS, f"{json.dumps([str(word) for word in words])} {self._key}").hex
 
     def _sampled(self) -> list[_Sample]:
@@ -150,7 +150,7 @@ class _Tables:
         ]
 
     def rows(self) -> dict[str, list[Row]]:
-        """By table."""
+        """The rows of each table, by its name."""
         drive = self._dataset.drive
         samples = self._samples
         log, scene, map_token = (self._token(table) for table in ("log", "scene", "map"))
@@ -282,10 +282,10 @@ class _Tables:
 
 
 def _category(name: str | None) -> str:
-    return NAMES[name].nuscenes or str(name)
+    return DATASET_NAMES[name].nuscenes or str(name)
 
 
-def _attributes(one: Boxed) -> list[str]:
+def _attributes(one: BoxedObject) -> list[str]:
     """One, of those categories that have any."""
     name = _category(one.category)
     pair = next((pair for start, pair in ATTRIBUTES.items() if name.startswith(start)), None)
@@ -300,5 +300,6 @@ def _pose(T: Array) -> Row:
 def _linked(rows: list[Row]) -> list[Row]:
     """Rows in the order of time, each with the token of the one before and after."""
     for before, after in pairwise(rows):
-        before["next"], after["prev"] = after["token"], before["token"]
+        before["next"] = after["token"]
+        after["prev"] = before["token"]
     return rows

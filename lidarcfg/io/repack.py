@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.fragments import Reassembly
 from lidarcfg.capture.frames import IP, UDP, fragment, ip_packets
-from lidarcfg.capture.pcap import whole_capture
+from lidarcfg.capture.pcap import frames_in_memory
 from lidarcfg.errors import CloudError, PacketError
+from lidarcfg.geometry import Bytes, Times
 from lidarcfg.inputs import check_memory, check_regular, read_regular
-from lidarcfg.packets.codec import Octets, Times
 
 SIZE_MAX = 4_000_000_000  # bytes of a capture
 COPIES = 60  # bytes of memory per byte of it
@@ -49,10 +49,10 @@ class Datagram(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Taken:
+class SourcePackets:
     """The packets of one endpoint."""
 
-    packets: Octets  # (P, size)
+    packets: Bytes  # (P, size)
     host_ns: Times  # (P,)
     datagrams: list[Datagram]  # (P,)
 
@@ -65,13 +65,13 @@ class Records:
     datagrams: Mapping[Endpoint, list[Datagram]]
     cuts: list[tuple[int, ...]] = field(default_factory=list)  # the columns of CUTS, but with offsets in the file
 
-    def of(self, name: str, size: int) -> Taken:
+    def of(self, name: str, size: int) -> SourcePackets:
         """The packets of a source, host:port, of this size."""
         found = self.datagrams.get((name, size), [])
         packets = np.frombuffer(b"".join(one.payload for one in found), np.uint8).reshape(-1, size)
-        return Taken(packets, np.array([one.time_ns for one in found], np.int64), found)
+        return SourcePackets(packets, np.array([one.time_ns for one in found], np.int64), found)
 
-    def take(self, mine: Taken, rows: NDArray[np.int64], number: int) -> None:
+    def take(self, mine: SourcePackets, rows: NDArray[np.int64], number: int) -> None:
         """Assign these packets to source `number`."""
         for packet, row in enumerate(rows.tolist()):
             one = mine.datagrams[row]
@@ -91,7 +91,7 @@ class Records:
         return columns | {"at": at, "raw": np.frombuffer(b"".join(left), np.uint8)}
 
 
-def pieces(path: Path, arrays: Mapping[str, NDArray[Any]], packets: Sequence[Octets]) -> Iterator[bytes]:
+def capture_bytes(path: Path, arrays: Mapping[str, NDArray[Any]], packets: Sequence[Bytes]) -> Iterator[bytes]:
     """The bytes of a capture from its arrays, with the packets (P, size) of its sources. Raises CloudError."""
     at, source, packet, first, size, headers = (arrays[key].astype(np.int64) for key in CUTS)
     raw = arrays["raw"].tobytes()
@@ -146,7 +146,7 @@ def read_records(path: Path) -> Records:
 
 def _rows(data: bytes, name: str) -> Iterator[tuple[int, int, int, int, bool, Any]]:
     """Host time and `IpPackets`' columns of each UDP datagram, or fragment of one."""
-    for piece in whole_capture(data, name):
+    for piece in frames_in_memory(data, name):
         found = ip_packets(piece)
         keep = found.whole | found.part
         columns = (piece.time_ns[found.which], found.ip, found.length, found.end, found.part)
@@ -167,7 +167,7 @@ class _Found(NamedTuple):
 
 
 def _datagram(data: bytes, time_ns: int, body: bytes, found: list[_Found]) -> Datagram:
-    """Of a UDP header and its payload, and of where in the file pieces of that are."""
+    """The datagram of a UDP header with its payload, whose pieces were found in the file."""
     payload = body[UDP.itemsize :]
     parts = list[Segment]()
     headers = 0
@@ -183,7 +183,7 @@ def _datagram(data: bytes, time_ns: int, body: bytes, found: list[_Found]) -> Da
 
 
 def _with_checksum(between: bytes, headers: int, payload: bytes) -> bytes:
-    """Bytes that end in so many of IP and UDP headers, with the right UDP checksum."""
+    """Bytes whose last `headers` are IP and UDP headers, with the right UDP checksum."""
     head = between[len(between) - headers :]
     words = head[12:20] + b"\0\x11" + head[-4:-2] + head[-UDP.itemsize : -2] + payload + b"\0" * (len(payload) % 2)
     total = sum(struct.unpack(f">{len(words) // 2}H", words))

@@ -1,5 +1,9 @@
 """The makers' packets, a folder each: `layout`, `model`, `encode`, `decode`, `telemetry`.
 
-To read in this order: `codec` is the interface that each maker implements, `families` the registry of them; `rotating`,
-`blocks`, `inertial`, `network` and `unit` are what several share, `generic` the firings of sensors without packets.
+To read in this order: `codec` is the interface that each maker implements, `families` the registry of them. Then a
+maker. `facts`, `blocks`, `inertial` and `point_fields` are what several makers share.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

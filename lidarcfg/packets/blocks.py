@@ -1,12 +1,15 @@
-"""Packets of twelve blocks of 32 returns, as Velodyne and RoboSense send them: what the core is told of a sensor."""
+"""Packets of twelve blocks of 32 returns, as Velodyne and RoboSense send them: what the core knows of a sensor."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.core import packets as core
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Flags, Octets, Returns, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.codec import Returns
+
+D = TypeVar("D", bound=np.generic)
 
 
 class Slots(NamedTuple):
@@ -15,7 +18,7 @@ class Slots(NamedTuple):
     laser: Times  # (W,)
     fraction: Array  # (G, W) of the step from the group's azimuth to the next one's
     offset_ns: Times  # (G, W) after the packet's stamp
-    kind: Octets  # (W,) with dual returns: 0 strongest, 1 last
+    kind: Bytes  # (W,) with dual returns: 0 strongest, 1 last
     other: Times  # (W,) where in the group the pair's other return is; empty with single returns
 
 
@@ -28,18 +31,18 @@ class Lasers(NamedTuple):
     left: Array  # the same, across the beam's direction
     up: Array
     distance_offset: Array
-    ring: Octets
+    ring: Bytes
     near_offset: Array  # (L, 2), or (0, 2) if distances near by are as those far off
     focal: Array  # (L, 4) focal distance, slope, least and greatest intensity; or (0, 4) if they are right as they come
 
 
 def decode(
     decoder: core.VelodyneDecoder | core.RobosenseDecoder,
-    octets: Octets,
+    data: Bytes,
     wanted: Flags,
     stamp_ns: Times,
     gap_ns: Times,
-    kind: Octets,
+    kind: Bytes,
     polar: bool,
 ) -> Returns:
     """The returns of the wanted ones (P,) of successive packets (P, size); the others only say how the head turns.
@@ -47,5 +50,10 @@ def decode(
     `gap_ns` (P - 1,) are the times between stamps (P,), and `kind` (P,) the types of single returns. Without `polar`,
     ranges and azimuths are empty.
     """
-    out = Returns.room(decoder.count(octets, wanted), polar)
-    return out.first(decoder.decode(octets, wanted, stamp_ns, np.append(gap_ns, 0), kind, out))
+    out = Returns.allocate(decoder.count(data, wanted), polar)
+    return out.first(decoder.decode(data, wanted, stamp_ns, np.append(gap_ns, 0), kind, out))
+
+
+def by_packet(values: NDArray[Any], packets: int, dtype: type[D]) -> NDArray[D]:
+    """The values in the order of packets as a contiguous matrix, a row a packet."""
+    return np.ascontiguousarray(values, dtype).reshape(packets, -1)

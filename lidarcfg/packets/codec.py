@@ -1,7 +1,8 @@
-"""The interface that every family of packets implements.
+"""The interface that each maker's packets implement: a `Codec` writes and identifies them, its `Decoder` reads them.
 
-A family is a subclass of `Codec`, registered in `packets/families.py`. Its bytes are known inside `packets/` only: the
-simulator sees `Firings`, capture files see `Payloads`, readers see `Returns`. `tests/packets/toy.py` is a small one.
+A family of packets is a subclass of `Codec`, registered in `packets/families.py`. Its bytes are known inside `packets/`
+only: the simulator sees `Firings`, capture files see `Payloads`, readers see `Returns`. `tests/packets/toy.py` is a
+small one.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,49 +14,22 @@ from numpy.typing import NDArray
 
 from lidarcfg.config.models import Model
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.network import Header, Network
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.facts import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
-from lidarcfg.sensors.firing import Pattern
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Timing
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
-Times = NDArray[np.int64]
-Octets = NDArray[np.uint8]
-Flags = NDArray[np.bool_]
 
-
-class Known(Protocol):
+class KnownSensors(Protocol):
     """Reads the catalogue's sensors of a family: all of them, or the one with a name, if there is one."""
 
     def __call__(self, name: str | None = None) -> Sequence[Sensor]: ...
-
-
-@dataclass(frozen=True)
-class Firings:
-    """N firings of one sensor in flat columns, in the order in which packets hold them."""
-
-    time_ns: Times  # (N,) device time
-    laser: Octets  # (N,)
-    encoder_rad: Array  # (N,) where the head points, clockwise, 0 to 2π, unrounded
-
-
-@dataclass(frozen=True)
-class Batch:
-    """P successive packets of one sensor before they are encoded."""
-
-    firings: Firings  # packet by packet, the same number in each except for lasers that do not fire
-    number: Times  # (P,) as the family counts its packets
-    sent_ns: Times  # (P,) host time at which each leaves
-
-    @property
-    def first(self) -> int:
-        """The number of its first packet; 0 without any."""
-        return int(self.number[0]) if len(self.number) else 0
 
 
 @dataclass(frozen=True)
@@ -65,16 +39,8 @@ class Measurements:
     return_mode: str
     batch: Batch
     range_m: Array  # (N, R) inf: no return
-    reflectivity: Octets  # (N, R) also where there is no return
+    reflectivity: Bytes  # (N, R) also where there is no return
     more: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # the other contents of a family's packets
-
-
-@dataclass(frozen=True)
-class Pace:
-    """The rate at which a sensor sends packets."""
-
-    period_ns: int  # from one packet to the next
-    firings: int  # in a packet
 
 
 @dataclass(frozen=True)
@@ -82,19 +48,12 @@ class Payloads:
     """N UDP payloads of one size that one sensor sends to one port, in the order of time."""
 
     time_ns: Times  # (N,) host time
-    data: Octets  # (N, size)
+    data: Bytes  # (N, size)
     port: int
     network: Network
     header: Header
     first: int = 0  # the number of packets sent to this port before, from which IP ids continue
     fragments: bool = True  # whether packets above the MTU are sent as IP fragments
-
-
-def chosen(packets: Octets, wanted: Flags) -> Octets:
-    """The wanted packets; a view, if they are consecutive."""
-    rows = np.flatnonzero(wanted)
-    together = len(rows) > 0 and rows[-1] - rows[0] < len(rows)
-    return packets[rows[0] : rows[-1] + 1] if together else packets[wanted]
 
 
 class Returns(NamedTuple):
@@ -104,17 +63,25 @@ class Returns(NamedTuple):
     range_m: Array  # (N,) along the beam, or empty
     azimuth_rad: Array  # (N,) of the beam, or empty
     time_ns: Times  # (N,) device time
-    laser: Octets  # (N,), or empty
-    ring: Octets  # (N,) 0 is the lowest beam
-    intensity: Octets  # (N,)
-    return_type: Octets  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest, 3 first
+    laser: Bytes  # (N,), or empty
+    ring: Bytes  # (N,) 0 is the lowest beam
+    intensity: Bytes  # (N,)
+    return_type: Bytes  # (N,) 0 strongest, 1 last, 2 second strongest, 3 first: see sensors/firing.py
 
     @classmethod
-    def room(cls, size: int, polar: bool = False) -> "Returns":
+    def allocate(cls, size: int, polar: bool = False) -> "Returns":
         """Columns for this many returns; without `polar`, ranges and azimuths are empty."""
-        few = size if polar else 0
-        octets = (np.empty(size, np.uint8) for _ in range(4))
-        return cls(np.empty((size, 3)), np.empty(few), np.empty(few), np.empty(size, np.int64), *octets)
+        polar_size = size if polar else 0
+        return cls(
+            xyz_m=np.empty((size, 3)),
+            range_m=np.empty(polar_size),
+            azimuth_rad=np.empty(polar_size),
+            time_ns=np.empty(size, np.int64),
+            laser=np.empty(size, np.uint8),
+            ring=np.empty(size, np.uint8),
+            intensity=np.empty(size, np.uint8),
+            return_type=np.empty(size, np.uint8),
+        )
 
     def first(self, count: int) -> "Returns":
         """The first `count` returns."""
@@ -129,7 +96,7 @@ class Source:
     host: str  # its address
     port: int  # the destination's
     sidecar_files: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
-    payloads: Callable[[int | None, int], Iterator[Octets]]  # of one size, of the host to a port or to any
+    payloads: Callable[[int | None, int], Iterator[Bytes]]  # of one size, of the host to a port or to any
     on_warning: Callable[[str], None]
 
 
@@ -143,77 +110,40 @@ class DecodeStatistics:
     rpm: float  # mean; NaN where it is not known
 
 
-TYPES = {
-    "strongest": (0,),
-    "last": (1,),
-    "first": (3,),
-    "dual": (0, 1),
-    "first-last": (3, 1),
-    "first-strongest": (3, 0),
-    "two-strongest": (0, 2),
-}
-
-
-def types(return_mode: str) -> tuple[int, ...]:
-    """The types of the returns that a return mode reports."""
-    return TYPES[return_mode]
-
-
 class Decoder(Protocol):
-    """Decodes the packets of one source, (P, size) octets at a time."""
+    """Decodes the packets of one source, (P, size) bytes at a time."""
 
     period_ns: int  # from one packet to the next, at most
 
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+    def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         """(P,) device times, which define the order of packets."""
 
-    def heading_rad(self, packets: Octets) -> Array:
+    def heading_rad(self, packets: Bytes) -> Array:
         """(P,) where the head points at the start of each, clockwise."""
 
-    def check(self, packets: Octets) -> None:
+    def check(self, packets: Bytes) -> None:
         """Raises PacketError for packets of another model than the first ones."""
         return
 
-    def sound(self, packets: Octets) -> Flags:
+    def sound(self, packets: Bytes) -> Flags:
         """(P,) which of the packets that `check` refuses are valid. If only a few are not, these are damaged."""
         return np.zeros(len(packets), np.bool_)
 
-    def count(self, packets: Octets, wanted: Flags) -> None:
+    def count(self, packets: Bytes, wanted: Flags) -> None:
         """Count the wanted ones (P,) of successive packets, and the packets lost before each."""
 
     def statistics(self) -> DecodeStatistics:
         """The counts so far."""
 
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         """The returns of the wanted packets (P,); the others only give the head's motion. Changes no state.
 
         Raises PacketError, without file and endpoint.
         """
 
-    def driver_columns(self, packets: Octets, wanted: Flags) -> Mapping[str, NDArray[Any]]:
+    def driver_columns(self, packets: Bytes, wanted: Flags) -> Mapping[str, NDArray[Any]]:
         """The columns of the family's `point_fields` that clouds do not have, for the same returns."""
         return {}
-
-
-class Timing(Protocol):
-    """When the lasers of a sensor fire."""
-
-    def check(self, mount: "Mount") -> None:
-        """Raises ConfigError if the mount cannot be exported because of its mode, its settings or its sensor.
-
-        Families with settings, or with more than the strongest returns, override this.
-        """
-        if mount.return_mode != "strongest":
-            raise ConfigError(f"sensor {mount.sensor.name!r} has no {mount.return_mode} returns")
-
-    def pace(self, mount: "Mount") -> Pace:
-        """The packet rate and size of the mount."""
-
-    def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-        """The firings in the time of this many packets, `chunk` packets at a time; fewer in a narrow field of view."""
-
-    def pattern(self, mount: "Mount") -> Pattern:
-        """Where the mount's lasers fire in a revolution: as in `schedule`, for any start."""
 
 
 class Codec(Timing, Protocol):
@@ -227,7 +157,7 @@ class Codec(Timing, Protocol):
 
     # writing
 
-    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
+    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """The packets of a batch with ranges (N, R; inf: no return) and reflectivities (N, R).
 
         R is 2 with dual returns: strongest and last, first and last, first and strongest, or strongest and second
@@ -235,23 +165,23 @@ class Codec(Timing, Protocol):
         other one is the second strongest. Ranges that the sensor or the packet cannot hold are no returns.
         """
 
-    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
+    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         """(N, R) which ranges are returns in the packets; of an identical pair, only the first."""
 
-    def return_types(self, mount: "Mount", range_m: Array, reflectivity: Octets) -> Octets:
-        """(N, R) the types of the encoded returns, as far as packets distinguish them: see `Returns`.
+    def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
+        """(N, R) the types of the encoded returns, as far as packets distinguish them.
 
         The second strongest of a pair counts as its strongest.
         """
-        return np.broadcast_to(np.array(types(mount.return_mode), np.uint8), range_m.shape)
+        return np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape)
 
     def housekeeping(
-        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
         """The sensor's other packets: position, state, calibration, inertial measurements."""
         return iter(())
 
-    def sidecar_files(self, mount: "Mount") -> Mapping[str, bytes]:
+    def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The files that a reader needs beside the capture, by the suffixes of their names."""
         return {}
 
@@ -262,29 +192,29 @@ class Codec(Timing, Protocol):
         """Whether a payload holds returns in this family's packets, by its size, its first bytes, its port."""
 
     @classmethod
-    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
         """Which of the family's known sensors sends these packets (P, size). Raises PacketError."""
 
-    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
+    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
         """The decoder for a source that begins with these packets. If `trusted`, they must be the sensor's.
 
         Raises PacketError.
         """
 
-    def return_modes(self, source: Source, packets: Octets) -> Times:
+    def return_modes(self, source: Source, packets: Bytes) -> Times:
         """(P,) a number for the return mode of each packet (P, size) of a source."""
         return np.zeros(len(packets), np.int64)
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
-        """The contents of packets (P, size) of one source and one number of `return_modes`; `packed` is the inverse.
+    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
+        """The contents of packets (P, size) of one source and one number of `return_modes`.
 
-        Raises PacketError; ConfigError if the family cannot do this.
+        `encode_measurements` is the inverse. Raises PacketError; ConfigError if the family cannot do this.
         """
         raise ConfigError(f"the packets of {type(self).__name__} cannot be converted to firings")
 
-    def packed(self, mount: "Mount", found: Measurements) -> Octets:
+    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
         """(P, size) the packets with these contents."""
-        return self.encode(mount, found.batch, found.range_m, found.reflectivity).data
+        return self.encode(mount, measured.batch, measured.range_m, measured.reflectivity).data
 
     # for reports and placement
 

@@ -1,16 +1,16 @@
-"""The registry of the families of packets: which codec a sensor has, and when its lasers fire."""
+"""The registry of the families of packets: which codec a sensor has, and when its lasers fire.
+
+The only module that names the makers; what is above asks it for a sensor's codec, timing or pattern.
+"""
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.codec import Codec, Timing
-from lidarcfg.packets.generic import GenericTiming
-from lidarcfg.sensors.firing import Pattern
+from lidarcfg.packets.codec import Codec
+from lidarcfg.sensors.firing import Pattern, Timing
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.schedule import GenericTiming
 from lidarcfg.sensors.sensor import Sensor
-
-if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
 
 FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne:Velodyne",
@@ -41,7 +41,7 @@ def timing(sensor: Sensor) -> Timing:
     return codec(sensor) if sensor.codec else GenericTiming(sensor)
 
 
-def pattern(mount: "Mount") -> Pattern:
+def pattern(mount: Mount) -> Pattern:
     """Where the lasers of a mount's sensor fire in a revolution. Raises ConfigError if that is not known."""
     sensor = mount.sensor
     if sensor.codec is None and sensor.firing is None:

@@ -4,19 +4,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Times
+from lidarcfg.geometry import Array, Times
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
 
 STEP_NS = SECOND_NS // 200  # before and after, over which motion is taken
 GRAVITY_M_S2 = 9.80665
 
 
-def measured(mount: "Mount", trajectory: "Trajectory", position_m: Array, time_ns: Times) -> tuple[Array, Array]:
+def measured(mount: Mount, trajectory: "Trajectory", position_m: Array, time_ns: Times) -> tuple[Array, Array]:
     """Acceleration in g and rates in degrees a second (n, 3) in the sensor's frame, over 10 ms around each time.
 
     `position_m` (3,) is the inertial sensor's in that frame. Timed poses are not asked for beyond their ends: there the

@@ -16,7 +16,6 @@ class PointField:
     column: str
 
 
-COMMON = ("x", "y", "z", "intensity", "ring", "since_stamp_s", "since_stamp_ns", "time_s")  # no decoder is asked
 PLACE = tuple(PointField(name, "<f4", name) for name in "xyz")
 SHARED = (*PLACE, PointField("intensity", "<f4", "intensity"), PointField("ring", "<u2", "ring"))
 TIMED = (*SHARED, PointField("time", "<f4", "since_stamp_s"))  # velodyne_driver's PointXYZIRT
@@ -32,8 +31,3 @@ OUSTER = (  # ouster-ros: intensity is the signal, the ring the pixel's row from
     PointField("ambient", "<u2", "near_ir"),
     PointField("range", "<u4", "range_mm"),
 )
-
-
-def asked(fields: tuple[PointField, ...]) -> tuple[str, ...]:
-    """The columns that a decoder has to give for these."""
-    return tuple(field.column for field in fields if field.column not in COMMON)

@@ -29,9 +29,9 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.scene_file import Cylinder, Sphere
-from lidarcfg.world.solids import parts, places
+from lidarcfg.world.solids import connected_components, unique_vertices
 from lidarcfg.world.tracer import CYLINDER, SPHERE, TRIANGLE
-from lidarcfg.world.vehicle import Vehicle, mesh_of
+from lidarcfg.world.vehicle import Vehicle, object_mesh
 
 WIDER = 1e-9  # rad, by which directions are widened before sorting
 CHUNK = 8192  # lines
@@ -69,7 +69,7 @@ def outline(obstacles: Obstacles) -> Outline:
     origin_m = obstacles.origin_m
     shapes = tree.shapes.reshape(-1, 9)
     triangles = shapes[tree.kind == TRIANGLE].reshape(-1, 3, 3) + origin_m
-    found, number = places(triangles.reshape(-1, 3) + 0.0)
+    found, number = unique_vertices(triangles.reshape(-1, 3) + 0.0)
     order = np.lexsort(found.T[::-1])
     corners = found[order]
     number = np.argsort(order)[number].reshape(-1, 3)
@@ -288,7 +288,7 @@ def solids(bodies: Vehicle) -> Surfaces:
         if index in rows:
             rounds.append(_round(rows[index]))
         else:
-            triangles += [vertices[corners] for vertices, corners in parts(mesh_of(scene, index))]
+            triangles += [vertices[corners] for vertices, corners in connected_components(object_mesh(scene, index))]
     numbers = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles])
     part = np.concatenate([numbers, len(triangles) + np.arange(len(rounds))])
     return Surfaces(np.concatenate(triangles), np.array(rounds).reshape(-1, 5), part)

@@ -206,6 +206,8 @@ class MissCounter:
         self._counter = core.returns.ReturnCounter(
             scanners, target.target.shape, target.places, ends, obstacles, target.enough
         )
+        what = f"{target.item.name}, with {len(target.places):,} places,"
+        check_memory(what, self._counter.memory_bytes, "give fewer places")
 
     def rate(self, sensors: Sequence[int], poses: Poses, limit: float = math.inf) -> float:
         """By some of the scanners, whose numbers ascend; or, once it is known to be at least `limit`, any that is."""

@@ -24,10 +24,12 @@ from lidarcfg.placement.return_counts import DetectionTarget, detection_target, 
 from lidarcfg.placement.slots import (
     Choices,
     Slot,
+    Slots,
     center_on_upright,
     check_bounds,
     choices_of,
     freely_tilted,
+    model_name,
     resolved_prices,
     slots_of,
 )
@@ -326,7 +328,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
         surroundings=surroundings,
         visibility=seen,
         robust=file.robust,
-        requirements=_requirements(file, found, region, bodies, seen),
+        requirements=_requirements(file, found, slots, region, bodies, seen, path),
         seeks_margin=bool(found) and "objective" not in file.model_fields_set,
         zones=zones,
         detection_targets=detection_targets,
@@ -382,15 +384,25 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
 
 
 def _requirements(
-    file: StudyFile, found: Sequence[Source], region: Region, bodies: Vehicle | None, seen: Visibility | None
+    file: StudyFile,
+    found: Sequence[Source],
+    slots: Slots,
+    region: Region,
+    bodies: Vehicle | None,
+    seen: Visibility | None,
+    path: Path,
 ) -> Requirements | None:
     """The study's requirements. Objects stand on the surroundings' ground, or else on the region's floor."""
     if not found:
         return None
+    prices = {model_name(name, path.parent): price for name, price in (file.prices or {}).items()}
     obstacles = seen.obstacles if seen else NO_OBSTACLES
     ground_m = obstacles.ground_m if math.isfinite(obstacles.ground_m) else float(region.min_m[2])
-    sensors = sum(group.count for group in file.sensors)
-    return resolved(found, Site.of(bodies, obstacles, ground_m), file.robust, file.prices, sensors)
+    models = [choice.model for slot in slots.slots for choice in slot.choices if choice] or [
+        slot.model or "" for slot in slots.slots
+    ]
+    site = Site.of(bodies, obstacles, ground_m, slots.boxes_m)
+    return resolved(found, site, file.robust, prices, len(slots.slots), models)
 
 
 def _resolved(
@@ -411,7 +423,7 @@ def _resolved(
     if found:
         values["requirements"] = [whole_values(one.item, one.path.parent) for one in found]
     if file.prices:
-        values["prices"] = resolved_prices(file, choices)
+        values["prices"] = resolved_prices(file, choices, path)
     return values
 
 

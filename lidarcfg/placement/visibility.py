@@ -17,7 +17,7 @@ from lidarcfg.placement.cones import Lidar, cone_rows
 from lidarcfg.placement.region import Region
 from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.scene import Scene
-from lidarcfg.world.vehicle import obstacles
+from lidarcfg.world.vehicle import static_bvh
 
 LIMITS = 9  # columns of Sight.limits
 WITHIN = 1.0  # the kind of a field of view of up to half a turn; 0: all around
@@ -56,7 +56,7 @@ class Visibility:
         middle = 0.5 * (region.min_m + region.max_m)
         origin_m = np.rint(middle / ROUND_M) * ROUND_M
         grounds = [scene.file.ground.z_m for scene in scenes if scene.file.ground]
-        found = Obstacles.of(obstacles(scenes, origin_m), origin_m, max(grounds, default=np.inf))
+        found = Obstacles.of(static_bvh(scenes, origin_m), origin_m, max(grounds, default=np.inf))
         return cls(found, range, field_of_view)
 
     @property

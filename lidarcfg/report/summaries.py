@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lidarcfg.capture.manifest import CaptureManifest
+from lidarcfg.capture.manifest import CaptureManifest, read_manifest
 from lidarcfg.config.kinds import DISCRIMINATING_KEYS, kind_of
-from lidarcfg.config.models import load, load_keys
+from lidarcfg.config.models import load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.packets.families import codec
@@ -16,8 +16,9 @@ from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
-from lidarcfg.report.words import counted
+from lidarcfg.report.describe import counted
 from lidarcfg.requirements.requirements import load_requirements
+from lidarcfg.requirements.scenario import scenario_in
 from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.world.motion import load_path
@@ -27,7 +28,7 @@ from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_veh
 
 @dataclass(frozen=True)
 class Summary:
-    """What a file is."""
+    """A file's kind, what it would do, and what looks wrong."""
 
     kind: str
     text: str  # what it would do
@@ -75,6 +76,14 @@ def _plan(path: Path) -> tuple[str, Iterable[str]]:
 def _requirements(path: Path) -> tuple[str, Iterable[str]]:
     found = [one.item.name for one in load_requirements(path)]
     return f"{counted(len(found), 'requirement')}: {', '.join(found)}", ()
+
+
+def _scenario(path: Path) -> tuple[str, Iterable[str]]:
+    found = scenario_in(path)
+    speeds = ", ".join(f"{speed:g}" for speed in found.file.speeds_km_h or ())
+    cars = counted(len(found.file.cars), "parked car")
+    unverified = (f"{path}: {found.name}: not verified: {found.file.unverified}",) if found.file.unverified else ()
+    return f"{found.name}, at {speeds or 'no'} km/h, {cars}", unverified
 
 
 def _rig(path: Path) -> tuple[str, Iterable[str]]:
@@ -134,9 +143,9 @@ def _trajectory(path: Path) -> tuple[str, Iterable[str]]:
 
 
 def _manifest(path: Path) -> tuple[str, Iterable[str]]:
-    manifest = load(path, CaptureManifest)
+    manifest = read_manifest(path)
     for key in ("rig", "scene", "trajectory", "vehicle"):
-        manifest.path(key, path)
+        manifest.input_path(key)
     return f"{manifest.duration_s:g} s from {manifest.start} on, by version {manifest.version}", ()
 
 
@@ -163,6 +172,7 @@ SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
     "plan": _plan,
     "study": _study,
     "requirements": _requirements,
+    "scenario": _scenario,
     "rig": _rig,
     "scene": _scene,
     "sensor": _sensor,

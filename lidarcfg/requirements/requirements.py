@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from lidarcfg.config.document import Key
 from lidarcfg.config.models import error_at, errors_at, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
+from lidarcfg.requirements.braking import EMERGENCY
+from lidarcfg.requirements.detection import NO_SPEEDS, RETURNS, Rule, approach_of
 from lidarcfg.requirements.file import HEADINGS_DEG, RequirementFile, RequirementsFile
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import ObjectRequirement
@@ -18,12 +21,22 @@ from lidarcfg.requirements.places import Stand, Zone
 from lidarcfg.requirements.posts import LIMIT_M, PostPlaces, PostRequirement
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.robustness import Robust
+from lidarcfg.requirements.scenario import Extent, load_scenario
+from lidarcfg.requirements.scenarios import ScenarioRequirement
 from lidarcfg.requirements.shadow import HEIGHT_M, WITHIN_M, ShadowRequirement
+from lidarcfg.requirements.sight import Bounds
 from lidarcfg.requirements.target import target_of
 from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.vehicle import Vehicle
 
-Requirement = ObjectRequirement | PostRequirement | ShadowRequirement | PriceRequirement | SensorsRequirement
+Requirement = (
+    ObjectRequirement
+    | PostRequirement
+    | ShadowRequirement
+    | ScenarioRequirement
+    | PriceRequirement
+    | SensorsRequirement
+)
 
 
 @dataclass(frozen=True)
@@ -34,11 +47,12 @@ class Site:
     body: Footprint | None  # of the vehicle
     obstacles: Obstacles  # what blocks beams
     ground_m: float  # height of the ground in the vehicle frame
+    bounds: Bounds | None = None  # boxes in which sensors may be; None: not known
 
     @classmethod
-    def of(cls, vehicle: Vehicle | None, obstacles: Obstacles, ground_m: float) -> "Site":
+    def of(cls, vehicle: Vehicle | None, obstacles: Obstacles, ground_m: float, bounds: Bounds | None = None) -> "Site":
         """Around a vehicle."""
-        return cls(vehicle, Footprint.of(vehicle.scene.mesh()) if vehicle else None, obstacles, ground_m)
+        return cls(vehicle, Footprint.of(vehicle.scene.mesh()) if vehicle else None, obstacles, ground_m, bounds)
 
 
 @dataclass(frozen=True)
@@ -118,8 +132,12 @@ def resolved(
     robust: Robust | None = None,
     prices: Mapping[str, float] | None = None,
     sensors: int | None = None,
+    models: Sequence[str] = (),
 ) -> Requirements:
-    """The requirements at a site; `sensors`: how many the study has. Raises ConfigError with file, line and key."""
+    """The requirements at a site; `sensors`: how many the study has, `models`: which may be among them.
+
+    Raises ConfigError with file, line and key.
+    """
     items: list[Requirement] = []
     for one in found:
         lost = one.item.lost if one.item.lost is not None else (robust.lost if robust else None) or 0
@@ -133,12 +151,12 @@ def resolved(
             case "shadow_at_most_m3":
                 items.append(_shadow(one, site, lost, robust))
             case "price_at_most":
-                items.append(_price(one, prices))
+                items.append(_price(one, prices, models))
             case "sensors_at_most":
                 assert one.item.sensors_at_most
                 items.append(SensorsRequirement(one.item.name, one.item.sensors_at_most))
-            case marker:
-                raise one.error("is not checked yet", marker)
+            case "scenario":
+                items.append(_scenario(one, site, lost))
     return Requirements(tuple(items), site, robust)
 
 
@@ -236,8 +254,37 @@ def _shadow(one: Source, site: Site, lost: int, robust: Robust | None) -> Shadow
     return found
 
 
-def _price(one: Source, prices: Mapping[str, float] | None) -> PriceRequirement:
+def _scenario(one: Source, site: Site, lost: int) -> ScenarioRequirement:
+    item = one.item
+    assert item.scenario
+    if site.vehicle is None:
+        raise one.error("needs the vehicle's body, and the study has no vehicle; give one", "scenario")
+    with errors_at(one.path, *one.at, "scenario"):
+        scenario = load_scenario(item.scenario, one.path.parent, item.target)
+        speeds_km_h = item.speeds_km_h or scenario.file.speeds_km_h
+        if not speeds_km_h:
+            raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
+        braking = item.braking or EMERGENCY
+        for speed_km_h, impact in product(speeds_km_h, scenario.file.impacts):
+            approach_of(scenario, Extent.of(site.vehicle), speed_km_h, impact, site.ground_m, braking)
+    return ScenarioRequirement(
+        name=item.name,
+        scenario=scenario,
+        vehicle=site.vehicle,
+        speeds_km_h=speeds_km_h,
+        rule=Rule(item.returns or RETURNS, item.cluster_m),
+        braking=braking,
+        lost=lost,
+        bounds=site.bounds,
+        ground_m=site.ground_m,
+    )
+
+
+def _price(one: Source, prices: Mapping[str, float] | None, models: Sequence[str]) -> PriceRequirement:
     assert one.item.price_at_most
     if not prices:
         raise one.error("needs the study's prices, and there are none; give a price for each model", "price_at_most")
+    for model in models:
+        if model not in prices:
+            raise one.error(f"{model!r} has no price; give it one in the study's prices", "price_at_most")
     return PriceRequirement(one.item.name, one.item.price_at_most, dict(prices))

@@ -9,7 +9,7 @@ from lidarcfg.requirements.file import ObjectFile
 from lidarcfg.simulate.returns import Target
 from lidarcfg.world.meshes import box_mesh, read_mesh
 from lidarcfg.world.scene_file import Box
-from lidarcfg.world.solids import open_edges, welded
+from lidarcfg.world.solids import merge_vertices, open_edges
 
 
 def shipped_objects() -> dict[str, Path]:
@@ -37,7 +37,7 @@ def box_target(size_m: Vec3) -> Target:
 
 def mesh_target(folder: Path, name: str) -> Target:
     """The closed mesh in a file. Raises SceneError if it cannot be read, and ConfigError if it is open."""
-    found = Target(welded(read_mesh(folder / name)))
+    found = Target(merge_vertices(read_mesh(folder / name)))
     if len(edges := open_edges(found.mesh)):
         corners = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
         what = f"is not closed: {len(edges)} of its edges bound an odd number of triangles, one of them {corners}"

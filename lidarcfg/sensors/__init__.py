@@ -1,7 +1,7 @@
-"""Sensors, and the rig that holds them.
+"""Sensors, the rig that holds them, and when their lasers fire.
 
-To read in this order: `sensor` has a model with its beams, `firing` where its lasers fire in a revolution, `realism`
-what it gets wrong, `rig` the mounts of a vehicle.
+To read in this order: `sensor` has a model with its beams, `realism` what it gets wrong, `rig` the mounts of a vehicle,
+`firing` when and where lasers fire, `schedule` the firing sequences of a sensor on its own clock.
 """
 
 import lazy_loader

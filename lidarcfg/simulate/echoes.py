@@ -25,11 +25,13 @@ CELLS = 24  # of PULSE_M, from the sensor's minimum range on, that rain and fog 
 # Extinction to backscatter of water droplets (Pinnick et al., Appl. Opt. 22, 1983; O'Connor 2004).
 LIDAR_RATIO_SR = 18.8
 KOSCHMIEDER = 3.912  # -ln(0.02): extinction times visibility (WMO-No. 8), at 903 nm as in visible light
-RAIN_DB_KM, RAIN_EXPONENT = 1.076, 0.67  # Carbonneau and Wisely 1998, as in ITU-R P.1814: dB/km = 1.076 R^0.67
+RAIN_DB_KM = 1.076  # Carbonneau and Wisely 1998, as in ITU-R P.1814: dB/km = 1.076 R^0.67
+RAIN_EXPONENT = 0.67
 DECIBEL = 10 / math.log(10)
 # A Gaussian beam by Gauss-Hermite quadrature with three nodes per direction; the divergence is the full angle at 1/e²
 # of the intensity (a guess, the makers do not say), which is four sigma.
-NODES, WEIGHTS = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4, np.array([1, 4, 1]) / 6
+NODES = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4
+WEIGHTS = np.array([1, 4, 1]) / 6
 # What a return mode may report of a firing: the strongest echo; the strongest, or the second strongest if the strongest
 # is the last; the last; the first; the strongest, or the second strongest if the strongest is the first; the second
 # strongest, or the strongest if it is alone.
@@ -67,7 +69,9 @@ class Echoes:
     strongest_m: Array  # (N,) the exact range of the strongest echo, reported or not
 
 
-def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
+def thin_beam_echoes(
+    range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str
+) -> Echoes:
     """Exact echoes of thin beams, (N, 1), or (N, 2) for dual returns: the only echo, twice."""
     shape = len(range_m), len(REPORTED[return_mode])
     return Echoes(
@@ -79,7 +83,7 @@ def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.
     )
 
 
-def beam(sensor: Sensor, realism: Realism) -> tuple[Array, Array, Array]:
+def beam_rays(sensor: Sensor, realism: Realism) -> tuple[Array, Array, Array]:
     """The K rays of a beam: tangents of their angles to its axis (K,), across and up; weights (K,)."""
     if not realism.divergence:
         return np.zeros(1), np.zeros(1), np.ones(1)
@@ -95,13 +99,13 @@ def _width_mrad(sensor: Sensor, realism: Realism) -> tuple[float, float]:
 
 
 def extinction_per_m(weather: Weather) -> float:
-    """By fog and rain together."""
+    """The extinction coefficient of fog and rain together."""
     fog = KOSCHMIEDER / weather.fog_visibility_m if weather.fog_visibility_m else 0.0
     rain = RAIN_DB_KM * weather.rain_mm_h**RAIN_EXPONENT / DECIBEL / 1000 if weather.rain_mm_h else 0.0
     return fog + rain
 
 
-def echoes(
+def wide_beam_echoes(
     sensor: Sensor,
     realism: Realism,
     weather: Weather,
@@ -115,8 +119,9 @@ def echoes(
     assert sensor.range
     count = len(hits.range_m)
     alpha = extinction_per_m(weather)
-    extra = 0 if candidates[0] == STRONGEST else 1
-    which = np.array([STRONGEST, *candidates][1 - extra :], np.uint8)
+    with_strongest = candidates if candidates[0] == STRONGEST else (STRONGEST, *candidates)
+    extra = len(with_strongest) - len(candidates)  # columns that are computed for `strongest_m` alone
+    which = np.array(with_strongest, np.uint8)
     least = 0.1 / realism.range_10_percent_m**2 if realism.range_10_percent_m else 0.0
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2

@@ -45,7 +45,8 @@ class Scanner:
 
 def scanner(mount: Mount) -> Scanner:
     """The scanner of a mount's sensor. Raises ConfigError if the sensor's file lacks facts."""
-    sensor, range_m = mount.sensor, mount.range_m
+    sensor = mount.sensor
+    range_m = mount.range_m
     fires = pattern(mount)
     if range_m is None:
         if sensor.range is None:
@@ -84,7 +85,8 @@ class Target:
     @property
     def origin_m(self) -> Array:
         """(3,) the middle of its lowest points' plane."""
-        low, high = self.mesh[0].min(axis=0), self.mesh[0].max(axis=0)
+        low = self.mesh[0].min(axis=0)
+        high = self.mesh[0].max(axis=0)
         return np.array([*(low + high)[:2] / 2, low[2]])
 
     def __getstate__(self) -> dict[str, Mesh]:
@@ -128,7 +130,8 @@ def compiled(scanners: Sequence[Scanner], phases: int = PHASES) -> tuple[core.re
 
 
 def _compiled(one: Scanner, phases: int) -> core.returns.Scanner:
-    sensor, pattern = one.sensor, one.pattern
+    sensor = one.sensor
+    pattern = one.pattern
     heads = pattern.heads_rad(phases)
     laser = pattern.laser
     low, high = one.azimuth_fov_deg or (0.0, 360.0)
@@ -140,7 +143,7 @@ def _compiled(one: Scanner, phases: int) -> core.returns.Scanner:
         step_rad=pattern.step_rad / pattern.phases(phases),
         phases=pattern.phases(phases),
         lag_rad=np.ascontiguousarray(pattern.lag_rad),
-        gating_rad=np.ascontiguousarray(pattern.decides_rad),
+        gating_rad=np.ascontiguousarray(pattern.gating_rad),
         offset_rad=sensor.azimuth_offset_rad[laser],
         elevation_rad=sensor.elevation_rad[laser],
         start_m=np.stack([column[laser] for column in offsets], axis=1),

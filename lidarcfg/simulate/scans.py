@@ -11,42 +11,44 @@ import numpy as np
 
 from lidarcfg import maths
 from lidarcfg.clouds.cloud import PointCloud, concatenate
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.inputs import check_memory
-from lidarcfg.packets.codec import Batch, Firings, Octets, Times, types
 from lidarcfg.packets.families import timing
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.tasks import (
     CHUNK_RAYS,
-    Crew,
     Drive,
-    Run,
+    SimulationOptions,
     Task,
+    TaskRunner,
+    build_tasks,
+    map_chunks,
     most_returns_per_ns,
     object_names,
-    prepared,
-    worked,
 )
 from lidarcfg.units import MINUTE_NS
 
 RETURN_BYTES = 60  # of a scan that waits for those of other sensors; measured on a street, where 5 of 6 rays return
-SECOND_STRONGEST, LAST = 2, 1  # types of returns
+LAST = 1  # a type of return
+SECOND_STRONGEST = 2  # another
 STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the other may be the strongest instead
 
 
-def simulated_scans(drive: Drive, run: Run | None = None) -> Iterator[PointCloud]:
+def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> Iterator[PointCloud]:
     """The points of each sensor's revolutions in its own frame, in the order in which they end.
 
     A revolution begins where the head passes azimuth 0, or the start of a narrower field of view. Ranges are not
     rounded as in packets; they are exact, except for the noise that the rig asks for. Raises ConfigError.
     """
-    run = run or Run()
-    tasks, names = prepared(drive, run.chunk_ns), object_names(drive.scene, drive.vehicle)
+    options = options or SimulationOptions()
+    tasks = build_tasks(drive, options.chunk_ns)
+    names = object_names(drive.scene, drive.vehicle)
     _check_memory(tasks)
-    crew = Crew.of(run, len(tasks))
-    streams = [_revolutions(task, crew, names) for task in tasks]
+    runner = TaskRunner.of(options, len(tasks))
+    streams = [_sensor_scans(task, runner, names) for task in tasks]
     return heapq.merge(*streams, key=lambda scan: int(scan.time_ns[-1]))
 
 
@@ -74,11 +76,11 @@ class _Chunk:
     number: Times
 
 
-def _revolutions(task: Task, crew: Crew, object_names: tuple[str, ...]) -> Iterator[PointCloud]:
-    """One sensor's scans."""
+def _sensor_scans(task: Task, runner: TaskRunner, object_names: tuple[str, ...]) -> Iterator[PointCloud]:
+    """The scans of one sensor: a cloud for each revolution, in the sensor's frame."""
     mount = task.mount
     lowest = np.argsort(np.argsort(mount.sensor.elevation_rad, kind="stable")).astype(np.uint8)
-    turns = _Turns.of(task)
+    turns = _RevolutionCounter.of(task)
 
     def make(batch: Batch, found: Echoes) -> _Chunk:
         firing, cloud = _points(mount, batch.firings, found)
@@ -87,17 +89,17 @@ def _revolutions(task: Task, crew: Crew, object_names: tuple[str, ...]) -> Itera
 
     begun: list[PointCloud] = []  # of many sensors one waits for the others: what it holds then is little else
     current = 0
-    for number, cloud in chain.from_iterable(map(_parts, worked(task, crew, make))):
+    for number, cloud in chain.from_iterable(map(_split_revolutions, map_chunks(task, runner, make))):
         if begun and number != current:
-            yield _taken(begun)
+            yield _merge_and_clear(begun)
         current = number
         begun.append(cloud)
         del cloud
     if begun:
-        yield _taken(begun)
+        yield _merge_and_clear(begun)
 
 
-def _parts(chunk: _Chunk) -> Iterator[tuple[int, PointCloud]]:
+def _split_revolutions(chunk: _Chunk) -> Iterator[tuple[int, PointCloud]]:
     """The points of each revolution in a chunk."""
     order = np.argsort(chunk.number, kind="stable")  # lasers that fire before their packet's time
     numbers, counts = np.unique(chunk.number, return_counts=True)
@@ -108,7 +110,7 @@ def _parts(chunk: _Chunk) -> Iterator[tuple[int, PointCloud]]:
         yield parts.popleft()
 
 
-def _taken(clouds: list[PointCloud]) -> PointCloud:
+def _merge_and_clear(clouds: list[PointCloud]) -> PointCloud:
     """The clouds as one, which the list no longer holds."""
     whole = concatenate(clouds)
     clouds.clear()
@@ -116,7 +118,7 @@ def _taken(clouds: list[PointCloud]) -> PointCloud:
 
 
 @dataclass(frozen=True)
-class _Turns:
+class _RevolutionCounter:
     """How far the head has turned: a whole number of revolutions where one begins."""
 
     rate: float  # revolutions in a nanosecond
@@ -125,8 +127,8 @@ class _Turns:
     begin_rad: float  # where revolutions begin
 
     @classmethod
-    def of(cls, task: Task) -> "_Turns":
-        """Of a sensor, by its first firing."""
+    def of(cls, task: Task) -> "_RevolutionCounter":
+        """The counter of a task's sensor, which starts with its first firing."""
         mount = task.mount
         begin_rad = math.radians(mount.azimuth_fov_deg[0]) if mount.azimuth_fov_deg else 0.0
         everywhere = replace(mount, azimuth_fov_deg=None)
@@ -144,9 +146,10 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     """The points of N firings, and which firing each is of."""
     sensor = mount.sensor
     assert sensor.range
-    (least_m, most_m), range_m = sensor.range.reported_m, found.range_m + found.noise_m
+    (least_m, most_m) = sensor.range.reported_m
+    range_m = found.range_m + found.noise_m
     there = (range_m >= least_m) & (range_m <= most_m)
-    kinds = np.broadcast_to(np.array(types(mount.return_mode), np.uint8), range_m.shape).copy()
+    kinds = np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape).copy()
     if mount.dual:
         bright = found.reflectivity
         alike = there.all(axis=1) & (range_m[:, 0] == range_m[:, 1]) & (bright[:, 0] == bright[:, 1])
@@ -156,7 +159,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
             kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
     firing, which = np.nonzero(there)
     cloud = PointCloud(
-        xyz=_places(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
+        xyz=beam_ends(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
         intensity=found.reflectivity[firing, which],
         ring=np.empty(0, np.uint8),
         time_ns=fired.time_ns[firing],
@@ -168,11 +171,15 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     return firing, cloud
 
 
-def _places(sensor: Sensor, laser: Octets, encoder_rad: Array, range_m: Array) -> Array:
+def beam_ends(sensor: Sensor, laser: Bytes, encoder_rad: Array, range_m: Array) -> Array:
     """(N, 3) the ends of the beams in the sensor's frame."""
-    azimuth_rad, elevation_rad = encoder_rad + sensor.azimuth_offset_rad[laser], sensor.elevation_rad[laser]
-    forward_m, left_m = sensor.forward_offset_m[laser], sensor.lateral_offset_m[laser]
-    flat_m, c, s = range_m * maths.cos(elevation_rad), maths.cos(azimuth_rad), maths.sin(azimuth_rad)
+    azimuth_rad = encoder_rad + sensor.azimuth_offset_rad[laser]
+    elevation_rad = sensor.elevation_rad[laser]
+    forward_m = sensor.forward_offset_m[laser]
+    left_m = sensor.lateral_offset_m[laser]
+    flat_m = range_m * maths.cos(elevation_rad)
+    c = maths.cos(azimuth_rad)
+    s = maths.sin(azimuth_rad)
     return np.stack(
         [
             flat_m * c + left_m * s + forward_m * maths.cos(encoder_rad),

@@ -9,21 +9,31 @@ from lidarcfg import maths
 from lidarcfg.core import simulate, world
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Firings
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.echoes import CELLS, REPORTED, Echoes, SubRays, beam, echoes, extinction_per_m, single
+from lidarcfg.simulate.echoes import (
+    CELLS,
+    REPORTED,
+    Echoes,
+    SubRays,
+    beam_rays,
+    extinction_per_m,
+    thin_beam_echoes,
+    wide_beam_echoes,
+)
 from lidarcfg.simulate.noise import add_noise, apply_dropout, drop_one_return, laser_errors_m
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene_file import Weather
 from lidarcfg.world.tracer import NO_SHAPES, NO_SLOT, Tracer
 
-EXACT, CLEAR = Realism(), Weather()
+EXACT = Realism()
+CLEAR = Weather()
 BEYOND_M = 1.0  # beyond a sensor's range nothing is reported; rays are traced this much farther
 
 
-class Counts(NamedTuple):
+class RayCounts(NamedTuple):
     """Numbers of rays: all that were traced, and those that hit something within range."""
 
     rays: int
@@ -80,14 +90,14 @@ class Simulator:
         if self._realism.divergence is True and not mount.sensor.optics:
             raise ConfigError(f"{mount.name}: divergence: sensor {mount.sensor.name!r} has no optics facts")
         self._exact = self._realism.model_copy(update={"seed": 0}) == EXACT and self._weather == CLEAR
-        across, above, self._weights = beam(mount.sensor, self._realism)
+        across, above, self._weights = beam_rays(mount.sensor, self._realism)
         self._errors_m = laser_errors_m(self._realism, index, mount.sensor.count)
         self._lasers = _lasers(mount.sensor, across, above)
         self._mounting = _mounting(mount, trajectory, tracer.origin_m)
         cells = CELLS if extinction_per_m(self._weather) else 0
         self.width = len(across) + cells  # rays and cells per firing
 
-    def echoes(self, fired: Firings, first: int) -> tuple[Echoes, Counts]:
+    def echoes(self, fired: Firings, first: int) -> tuple[Echoes, RayCounts]:
         """The echoes of N firings, (N, 1), or (N, 2) for dual returns; firings are numbered from `first` on.
 
         Has no side effects, so threads may call it concurrently. Raises ConfigError outside timed poses.
@@ -96,11 +106,13 @@ class Simulator:
         sensor = mount.sensor
         assert sensor.range
         hits = self._trace(fired)
-        counts = Counts(hits.range_m.size, int(np.count_nonzero(hits.range_m <= sensor.range.reported_m[1])))
+        counts = RayCounts(hits.range_m.size, int(np.count_nonzero(hits.range_m <= sensor.range.reported_m[1])))
         if self._exact:
-            return single(hits.range_m, hits.reflectivity, hits.object, mount.return_mode), counts
+            return thin_beam_echoes(hits.range_m, hits.reflectivity, hits.object, mount.return_mode), counts
         candidates = REPORTED[mount.return_mode]
-        reported = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, hits, candidates)
+        reported = wide_beam_echoes(
+            sensor, self._realism, self._weather, self._index, first, self._weights, hits, candidates
+        )
         apply_dropout(reported, self._realism, self._index, first)
         add_noise(reported, self._realism, self._index, first)
         reported.noise_m[:] += self._errors_m[fired.laser][:, None]

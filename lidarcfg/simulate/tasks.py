@@ -13,12 +13,12 @@ from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Pace, Timing, types
 from lidarcfg.packets.families import timing
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Timing
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import Range
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.simulator import Counts, Simulator
+from lidarcfg.simulate.simulator import RayCounts, Simulator
 from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
@@ -26,16 +26,17 @@ from lidarcfg.world.tracer import Tracer
 from lidarcfg.world.vehicle import Vehicle, check_outside
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export is repeatable
-CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 196_608  # at most, traced at a time: each chunk has a fixed cost
+CHUNK_NS = 1_000_000_000  # traced at a time, at most: each chunk has a fixed cost
+CHUNK_RAYS = 196_608  # the same in rays
 AHEAD = 1  # chunks of a sensor that are traced while others are written
 
-OnRays = Callable[[Counts], None]
+OnRays = Callable[[RayCounts], None]
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Run:
-    """How an export runs, and who is called meanwhile. None of this changes its bytes."""
+class SimulationOptions:
+    """How a simulation runs, and what it calls meanwhile. None of this changes its results."""
 
     on_progress: Callable[[int], None] = lambda done_ns: None  # the simulated time so far, of the duration
     on_rays: OnRays = lambda counts: None  # the numbers of rays of each chunk
@@ -73,9 +74,11 @@ class Task:
     chunk_ns: int
 
 
-def prepared(drive: Drive, chunk_ns: int) -> list[Task]:
+def build_tasks(drive: Drive, chunk_ns: int) -> list[Task]:
     """The work of each sensor; sensor i of n starts i/n of a packet after the first. Raises ConfigError."""
-    mounts, trajectory, start_ns = [_ranged(mount) for mount in drive.rig.mounts], drive.trajectory, drive.start_ns
+    mounts = [_with_range(mount) for mount in drive.rig.mounts]
+    trajectory = drive.trajectory
+    start_ns = drive.start_ns
     timings = [checked_timing(mount, drive.duration_ns) for mount in mounts]
     for mount in mounts:
         check_place(mount.name, mount.position_m)
@@ -97,7 +100,7 @@ def prepared(drive: Drive, chunk_ns: int) -> list[Task]:
     ]
 
 
-def _ranged(mount: Mount) -> Mount:
+def _with_range(mount: Mount) -> Mount:
     """The mount; if its sensor's range is not known, with the range given by the rig."""
     if mount.sensor.range or not mount.range_m:
         return mount
@@ -113,7 +116,7 @@ def fired_fraction(mount: Mount) -> float:
 
 def most_returns_per_ns(mount: Mount, pace: Pace) -> float:
     """The rate of a mount's returns if each ray returns."""
-    return pace.firings * fired_fraction(mount) * len(types(mount.return_mode)) / pace.period_ns
+    return pace.firings * fired_fraction(mount) * len(RETURN_TYPES[mount.return_mode]) / pace.period_ns
 
 
 def checked_timing(mount: Mount, duration_ns: int) -> Timing:
@@ -157,11 +160,12 @@ def _checked_start(trajectory: Trajectory, start_ns: int, end_ns: int) -> Array:
     return start_m
 
 
-class Workers:
+class SharedThreadPool:
     """Threads that the streams share, started when the first is read and stopped after the last."""
 
     def __init__(self, threads: int) -> None:
-        self._threads, self._readers = threads, 0
+        self._threads = threads
+        self._readers = 0
         self._pool: ThreadPoolExecutor | None = None
 
     @contextmanager
@@ -182,7 +186,8 @@ class Progress:
     """The progress of all streams together."""
 
     def __init__(self, streams: int, on_progress: Callable[[int], None]) -> None:
-        self._done_ns, self._on_progress = [0] * streams, on_progress
+        self._done_ns = [0] * streams
+        self._on_progress = on_progress
 
     def set(self, stream: int, done_ns: int) -> None:
         """Record how far a stream has come."""
@@ -191,43 +196,46 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Crew:
-    """The threads that work on the tasks of all sensors, and the callbacks."""
+class TaskRunner:
+    """Runs the tasks of all sensors: their threads and their callbacks."""
 
-    workers: Workers
+    threads: SharedThreadPool
     progress: Progress
     on_rays: OnRays
 
     @classmethod
-    def of(cls, run: Run, sensors: int) -> "Crew":
-        """The crew for a run with this many sensors."""
-        return cls(Workers(run.threads or os.cpu_count() or 1), Progress(sensors, run.on_progress), run.on_rays)
+    def of(cls, options: SimulationOptions, sensors: int) -> "TaskRunner":
+        """A runner with threads and progress shared by this many sensors."""
+        threads = SharedThreadPool(options.threads or os.cpu_count() or 1)
+        return cls(threads, Progress(sensors, options.on_progress), options.on_rays)
 
 
-def worked(task: Task, crew: Crew, make: Callable[[Batch, Echoes], T]) -> Iterator[T]:
+def map_chunks(task: Task, runner: TaskRunner, make: Callable[[Batch, Echoes], T]) -> Iterator[T]:
     """The results of `make` for the firings and echoes of each non-empty chunk, in the order of time, on threads."""
-    timing, mount, simulator = task.timing, task.mount, task.simulator
+    timing = task.timing
+    mount = task.mount
+    simulator = task.simulator
     pace = timing.pace(mount)
     total = task.duration_ns // pace.period_ns
     packets = max(min(task.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * simulator.width)), 1)
 
-    def work(batch: Batch, first: int) -> tuple[T, Counts] | None:
+    def work(batch: Batch, first: int) -> tuple[T, RayCounts] | None:
         if not len(batch.sent_ns):
             return None
         found, counts = simulator.echoes(batch.firings, first)
         return make(batch, found), counts
 
-    with crew.workers.pool() as pool:
+    with runner.threads.pool() as pool:
         batches = timing.schedule(mount, task.start_ns, total, packets)
         jobs = (pool.submit(work, batch, first) for batch, first in _numbered(batches))
         for number, chunk in enumerate(ordered_results(jobs, AHEAD), 1):
             if chunk:
                 made = [chunk[0]]
-                crew.on_rays(chunk[1])
+                runner.on_rays(chunk[1])
                 del chunk  # it would stay in memory while others are waited for
                 yield made.pop()
             done_ns = number * packets * pace.period_ns
-            crew.progress.set(task.index, done_ns if number * packets < total else task.duration_ns)
+            runner.progress.set(task.index, done_ns if number * packets < total else task.duration_ns)
 
 
 def _numbered(batches: Iterable[Batch]) -> Iterator[tuple[Batch, int]]:

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, rotation
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.categories import NAMES
-from lidarcfg.world.motion import MotionPath, prepared
+from lidarcfg.world.categories import DATASET_NAMES
+from lidarcfg.world.motion import MotionPath, build_path
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.scene_file import Box, Cylinder, Ground, Plane, SceneObject, Sphere
 
 
 @dataclass(frozen=True)
-class Boxed:
+class BoxedObject:
     """An object with a box that moves and rotates with it."""
 
     index: int  # of the scene's objects
@@ -30,10 +30,12 @@ class Boxed:
     def pose(self, seconds: float) -> Array:
         """T_world_box (4, 4) at a time since the scene's time 0. Raises ConfigError outside timed poses."""
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = self.R, self.center_m
+        T[:3, :3] = self.R
+        T[:3, 3] = self.center_m
         if self.path:
             R, t = (values[0] for values in self.path.at(np.array([seconds])))
-            T[:3, :3], T[:3, 3] = R @ self.R, self.place_m + t + R @ (self.center_m - self.place_m)
+            T[:3, :3] = R @ self.R
+            T[:3, 3] = self.place_m + t + R @ (self.center_m - self.place_m)
         return T
 
 
@@ -41,7 +43,7 @@ class Boxed:
 class Boxes:
     """The boxes of N objects, each at the mean time of its returns in a scan, so that it encloses its points."""
 
-    objects: tuple[Boxed, ...]
+    objects: tuple[BoxedObject, ...]
     time_ns: NDArray[np.int64]  # (N,)
     T_world_box: Array  # (N, 4, 4)
     returns: NDArray[np.int64]  # (N,) in the scan
@@ -52,21 +54,21 @@ class Boxes:
         return Boxes(tuple(self.objects[i] for i in hit), self.time_ns[hit], self.T_world_box[hit], self.returns[hit])
 
 
-def boxed(scene: Scene) -> tuple[Boxed, ...]:
+def boxed_objects(scene: Scene) -> tuple[BoxedObject, ...]:
     """The objects with boxes, in the scene's order."""
     found = []
     for index, item in enumerate(scene.items):
         if isinstance(item, Ground):
             continue
-        if item.motion is None and (item.category is None or not NAMES[item.category].kitti):
+        if item.motion is None and (item.category is None or not DATASET_NAMES[item.category].kitti):
             continue
-        path = prepared(item.motion) if item.motion else None
-        shape = _shape(item, scene, index)
-        found.append(Boxed(index, item.name, item.category, path, scene.places_m[index], *shape))
+        path = build_path(item.motion) if item.motion else None
+        shape = _box_of(item, scene, index)
+        found.append(BoxedObject(index, item.name, item.category, path, scene.places_m[index], *shape))
     return tuple(found)
 
 
-def _shape(item: SceneObject, scene: Scene, index: int) -> tuple[Array, Array, Array]:
+def _box_of(item: SceneObject, scene: Scene, index: int) -> tuple[Array, Array, Array]:
     """Centre, size and rotation of an object's box at rest: along the object's own axes."""
     if isinstance(item, Box):
         return np.array(item.center_m), np.array(item.size_m), rotation((0.0, 0.0, np.radians(item.yaw_deg)))
@@ -80,19 +82,21 @@ def _shape(item: SceneObject, scene: Scene, index: int) -> tuple[Array, Array, A
         return np.array(item.center_m), np.array([*item.size_m, 0.0]), R
     corners = scene.vertices_m[np.unique(scene.triangles[scene.triangle_object == index])]
     own = (corners - scene.places_m[index]) @ R
-    low, high = own.min(axis=0), own.max(axis=0)
+    low = own.min(axis=0)
+    high = own.max(axis=0)
     return scene.places_m[index] + R @ ((low + high) / 2), high - low, R
 
 
 Hits = tuple[NDArray[np.int32], NDArray[np.int64]]  # of a scan's points (P,): the objects, and the times
 
 
-def boxes_at(objects: tuple[Boxed, ...], scans: Sequence[Hits], zero_ns: int, stamp_ns: int) -> Boxes:
+def boxes_at(objects: tuple[BoxedObject, ...], scans: Sequence[Hits], zero_ns: int, stamp_ns: int) -> Boxes:
     """The boxes in scans of one moment: each at the mean time of its returns in the first scan that has some.
 
     An object that was not hit is where it was at the stamp. Raises ConfigError outside timed poses.
     """
-    times_ns, returns = np.full(len(objects), stamp_ns, np.int64), np.zeros(len(objects), np.int64)
+    times_ns = np.full(len(objects), stamp_ns, np.int64)
+    returns = np.zeros(len(objects), np.int64)
     for k, one in enumerate(objects):
         mine = [time_ns[hit == one.index] for hit, time_ns in scans]
         returns[k] = sum(map(len, mine))

@@ -9,7 +9,7 @@ Category = Literal[
 ]  # fmt: skip
 
 
-class Names(NamedTuple):
+class DatasetNames(NamedTuple):
     """The names of a category in data sets."""
 
     label: int  # SemanticKITTI's (semantic-kitti.yaml)
@@ -18,27 +18,27 @@ class Names(NamedTuple):
     nuscenes: str = ""  # nuScenes' category; ours where that has none
 
 
-NAMES: dict[str | None, Names] = {
-    None: Names(0, 0, "Misc", "unknown"),
-    "car": Names(10, 252, "Car", "vehicle.car"),
-    "truck": Names(18, 258, "Truck", "vehicle.truck"),
-    "bus": Names(13, 257, "Misc", "vehicle.bus.rigid"),
-    "trailer": Names(20, 259, "Misc", "vehicle.trailer"),
-    "motorcycle": Names(15, 255, "Cyclist", "vehicle.motorcycle"),
-    "bicycle": Names(11, 253, "Cyclist", "vehicle.bicycle"),
-    "pedestrian": Names(30, 254, "Pedestrian", "human.pedestrian.adult"),
-    "other_vehicle": Names(20, 259, "Misc", "vehicle.construction"),
-    "other_object": Names(99, 99, "Misc", "movable_object.debris"),
-    "ground": Names(49, 49),
-    "road": Names(40, 40),
-    "parking": Names(44, 44),
-    "sidewalk": Names(48, 48),
-    "building": Names(50, 50),
-    "fence": Names(51, 51),
-    "vegetation": Names(70, 70),
-    "trunk": Names(71, 71),
-    "terrain": Names(72, 72),
-    "pole": Names(80, 80),
-    "traffic_sign": Names(81, 81),
+DATASET_NAMES: dict[str | None, DatasetNames] = {
+    None: DatasetNames(0, 0, "Misc", "unknown"),
+    "car": DatasetNames(10, 252, "Car", "vehicle.car"),
+    "truck": DatasetNames(18, 258, "Truck", "vehicle.truck"),
+    "bus": DatasetNames(13, 257, "Misc", "vehicle.bus.rigid"),
+    "trailer": DatasetNames(20, 259, "Misc", "vehicle.trailer"),
+    "motorcycle": DatasetNames(15, 255, "Cyclist", "vehicle.motorcycle"),
+    "bicycle": DatasetNames(11, 253, "Cyclist", "vehicle.bicycle"),
+    "pedestrian": DatasetNames(30, 254, "Pedestrian", "human.pedestrian.adult"),
+    "other_vehicle": DatasetNames(20, 259, "Misc", "vehicle.construction"),
+    "other_object": DatasetNames(99, 99, "Misc", "movable_object.debris"),
+    "ground": DatasetNames(49, 49),
+    "road": DatasetNames(40, 40),
+    "parking": DatasetNames(44, 44),
+    "sidewalk": DatasetNames(48, 48),
+    "building": DatasetNames(50, 50),
+    "fence": DatasetNames(51, 51),
+    "vegetation": DatasetNames(70, 70),
+    "trunk": DatasetNames(71, 71),
+    "terrain": DatasetNames(72, 72),
+    "pole": DatasetNames(80, 80),
+    "traffic_sign": DatasetNames(81, 81),
 }
 OUTLIER = 1  # SemanticKITTI's label of rain and fog

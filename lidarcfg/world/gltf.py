@@ -11,12 +11,13 @@ from urllib.parse import unquote
 from lidarcfg.errors import SceneError
 
 SUFFIXES = ".gltf", ".glb"
-MAGIC, HEAD = b"glTF", 20  # of a .glb: its first bytes, and the bytes before its JSON
+MAGIC = b"glTF"  # the first bytes of a .glb
+HEAD = 20  # bytes of a .glb before its JSON
 INSTANCES = "EXT_mesh_gpu_instancing"
 SHAPES = "apply them, so that the mesh has the shape that is meant, and export it again"
 
 
-def said(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, Any]:
     """The JSON of a glTF file. Raises SceneError if there is none, OSError."""
     with path.open("rb") as file:
         head = file.read(HEAD)
@@ -33,37 +34,37 @@ def said(path: Path) -> dict[str, Any]:
     return found
 
 
-def buffers(path: Path) -> list[Path]:
+def buffer_files(path: Path) -> list[Path]:
     """The files beside a glTF file that hold its numbers; none for other files."""
     if path.suffix.lower() not in SUFFIXES:
         return []
-    names = (one["uri"] for one in said(path).get("buffers", ()) if not one.get("uri", "data:").startswith("data:"))
-    return [path.parent / unquote(name) for name in names]
+    uris = [buffer.get("uri", "data:") for buffer in read_json(path).get("buffers", ())]
+    return [path.parent / unquote(uri) for uri in uris if not uri.startswith("data:")]
 
 
 def check_nodes(path: Path, wanted: Collection[str] | None = None) -> frozenset[str]:
     """The names of a glTF file's nodes. Raises SceneError for a wanted node that readers would show wrongly."""
-    whole = said(path)
+    gltf = read_json(path)
     try:
-        nodes = whole.get("nodes", [])
+        nodes = gltf.get("nodes", [])
         names = [str(node.get("name", i)) for i, node in enumerate(nodes)]
         parents = Counter(child for node in nodes for child in node.get("children", ()))
         for i, (name, node) in enumerate(zip(names, nodes, strict=True)):
             if wanted is None or name in wanted:
-                for wrong in _mistakes(whole, node, parents[i]):
+                for wrong in _mistakes(gltf, node, parents[i]):
                     raise SceneError(f"{path}: node {name!r} {wrong}")
     except (AttributeError, TypeError, ValueError, LookupError) as error:
         raise SceneError.damaged(path, error, "glTF") from None
     return frozenset(names)
 
 
-def _mistakes(whole: dict[str, Any], node: dict[str, Any], parents: int) -> Iterator[str]:
+def _mistakes(gltf: dict[str, Any], node: dict[str, Any], parents: int) -> Iterator[str]:
     """What is wrong with a node, and what to do."""
     if parents > 1:
         yield f"has {parents} parents; allowed is one: export it again, with a copy under each"
     if "mesh" not in node:
         return
-    meshes = whole.get("meshes", [])
+    meshes = gltf.get("meshes", [])
     if not 0 <= node["mesh"] < len(meshes):
         yield f"names mesh {node['mesh']}, of {len(meshes)}; export it again, with its mesh, or without the node"
     if "skin" in node:

@@ -14,7 +14,7 @@ import numpy as np
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import transform
 from lidarcfg.world.gltf import SUFFIXES, check_nodes
-from lidarcfg.world.meshes import FILE_MAX, Mesh, check_mesh, check_readable, joined, placed
+from lidarcfg.world.meshes import FILE_MAX, Mesh, check_mesh, check_readable, join_meshes, place_mesh
 from lidarcfg.world.scene_file import GltfModel
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ ERRORS = (
 )
 
 
-class Part(NamedTuple):
+class NodeMesh(NamedTuple):
     """The triangles of one material of a node."""
 
     node: str
@@ -45,7 +45,7 @@ def model_objects(item: GltfModel, folder: Path) -> list[tuple[GltfModel, Mesh]]
     A node of several materials is several objects, NODE/MATERIAL. Raises SceneError.
     """
     path = folder / item.file
-    parts = read_parts(path, item.nodes)
+    parts = read_nodes(path, item.nodes)
     shown = sorted({part.node for part in parts})
     for name in sorted(set(item.nodes or ()) & (check_nodes(path, ()) - set(shown))):
         raise SceneError(f"{path}: node {name!r} has no triangles; it has {_listed(shown)}")
@@ -60,11 +60,11 @@ def model_objects(item: GltfModel, folder: Path) -> list[tuple[GltfModel, Mesh]]
                 "name": f"{item.name}/{part.node}" + f"/{part.material}" * (materials[part.node] > 1),
                 "reflectivity": item.materials.get(part.material, item.reflectivity),
             }
-            out.append((item.model_copy(update=values), placed(part.mesh, item)))
+            out.append((item.model_copy(update=values), place_mesh(part.mesh, item)))
     return out
 
 
-def read_parts(path: Path, wanted: Collection[str] | None = None) -> list[Part]:
+def read_nodes(path: Path, wanted: Collection[str] | None = None) -> list[NodeMesh]:
     """The triangles of a glTF file by node and material, transformed by its nodes. Raises SceneError.
 
     Nodes that are not wanted are not checked, and may be wrong.
@@ -76,16 +76,16 @@ def read_parts(path: Path, wanted: Collection[str] | None = None) -> list[Part]:
         raise SceneError(f"{path}: is no glTF file; allowed: {', '.join(SUFFIXES)}")
     check_nodes(path, wanted)
     try:
-        found = sorted(_pieces(path, trimesh.load_scene(path, process=False)), key=itemgetter(0, 1, 2))
+        found = sorted(_geometries(path, trimesh.load_scene(path, process=False)), key=itemgetter(0, 1, 2))
     except ERRORS as error:
         raise SceneError.damaged(path, error, "glTF") from None
     if not found:
         raise SceneError(f"{path}: no triangles in any of its nodes")
     groups = groupby(found, itemgetter(0, 1))
-    return [Part(node, material, joined([one[-1] for one in own])) for (node, material), own in groups]
+    return [NodeMesh(node, material, join_meshes([one[-1] for one in own])) for (node, material), own in groups]
 
 
-def _pieces(path: Path, scene: "trimesh.Scene") -> Iterator[tuple[str, str, str, Mesh]]:
+def _geometries(path: Path, scene: "trimesh.Scene") -> Iterator[tuple[str, str, str, Mesh]]:
     """Node, material, trimesh's name and triangles of every geometry."""
     for name in scene.graph.nodes_geometry:
         T_scene_node, geometry = scene.graph[name]
@@ -110,5 +110,5 @@ def _check_known(path: Path, what: str, given: Iterable[str], known: Sequence[st
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Names, for a message."""
+    """The first names, quoted, for a message."""
     return ", ".join(map(repr, names[:SHOWN])) + " …" * (len(names) > SHOWN) or "none"

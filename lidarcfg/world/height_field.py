@@ -22,7 +22,8 @@ CELLS_MAX = 10_000_000
 CELL_BYTES = 600  # of memory a cell while the tracer's tree is built
 PNG = b"\x89PNG\r\n\x1a\n"
 IHDR = struct.Struct(">16xIIBB")  # 16 bytes, then width, height, bits and colour type
-GREY, BITS = 0, (8, 16)
+GREY = 0
+BITS = (8, 16)
 
 
 def height_field_mesh(item: HeightField, folder: Path) -> Mesh:
@@ -40,7 +41,10 @@ def height_field_mesh(item: HeightField, folder: Path) -> Mesh:
     vertices[..., 1] = np.arange(rows)[::-1, None] * item.cell_m
     vertices[..., 2] = heights * item.scale
     index = np.arange(rows * columns).reshape(rows, columns)
-    west, east, low_west, low_east = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    west = index[:-1, :-1]
+    east = index[:-1, 1:]
+    low_west = index[1:, :-1]
+    low_east = index[1:, 1:]
     triangles = np.stack([low_west, low_east, east, low_west, east, west], axis=-1)
     return vertices.reshape(-1, 3) + item.position_m, triangles.reshape(-1, 3)
 
@@ -50,7 +54,7 @@ def read_heights(path: Path) -> Array:
     check_readable(path, FILE_MAX)
     if path.suffix.lower() not in SUFFIXES:
         raise SceneError(f"{path}: is no height field; allowed: {', '.join(SUFFIXES)}")
-    with _described(path):
+    with _scene_errors(path):
         found = _png(path) if path.suffix.lower() == ".png" else _npy(path)
         if odd := np.argwhere(~np.isfinite(found)).tolist():
             row, column = odd[0]
@@ -97,7 +101,7 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
 
 
 @contextmanager
-def _described(path: Path) -> Iterator[None]:
+def _scene_errors(path: Path) -> Iterator[None]:
     """What NumPy and Pillow raise for a damaged file, as SceneError."""
     try:
         yield

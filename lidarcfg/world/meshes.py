@@ -54,7 +54,8 @@ def plane_mesh(plane: Plane) -> Mesh:
 
 def cylinder_mesh(cylinder: Cylinder, tolerance_m: float) -> Mesh:
     """Two rings and the centres of its ends, within a tolerance of the cylinder."""
-    radius, height = cylinder.radius_m, cylinder.height_m
+    radius = cylinder.radius_m
+    height = cylinder.height_m
     profile = np.array([[0, 0], [radius, 0], [radius, height], [0, height]])
     return lathe(profile, _facets(radius, tolerance_m), cylinder.base_m)
 
@@ -71,11 +72,14 @@ def sphere_mesh(sphere: Sphere, tolerance_m: float) -> Mesh:
 def lathe(profile: Array, facets: int, position_m: Vec3) -> Mesh:
     """The surface of revolution of a profile (N, 2) of radius and height about the vertical through `position_m`."""
     azimuth = np.arange(facets) * (2 * math.pi / facets)
-    radius, height = profile[:, :1], profile[:, 1:]
+    radius = profile[:, :1]
+    height = profile[:, 1:]
     rings = np.stack([radius * maths.cos(azimuth), radius * maths.sin(azimuth), height + 0 * azimuth], axis=-1)
     index = np.arange(len(profile) * facets).reshape(len(profile), facets)
-    a, b = index[:-1].ravel(), np.roll(index, -1, axis=1)[:-1].ravel()
-    c, d = np.roll(index, -1, axis=1)[1:].ravel(), index[1:].ravel()
+    a = index[:-1].ravel()
+    b = np.roll(index, -1, axis=1)[:-1].ravel()
+    c = np.roll(index, -1, axis=1)[1:].ravel()
+    d = index[1:].ravel()
     triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     return rings.reshape(-1, 3) + position_m, triangles
 
@@ -86,7 +90,7 @@ def _facets(radius_m: float, tolerance_m: float) -> int:
     return min(max(2 * math.ceil(math.pi / half / 2), 16), 512)
 
 
-def placed(mesh: Mesh, item: MeshFile) -> Mesh:
+def place_mesh(mesh: Mesh, item: MeshFile) -> Mesh:
     """The mesh in the world frame. Raises SceneError if its scale makes it too large."""
     vertices, triangles = mesh
     far = np.flatnonzero((abs(vertices) > COORDINATE_MAX_M / item.scale).any(axis=1))
@@ -96,7 +100,7 @@ def placed(mesh: Mesh, item: MeshFile) -> Mesh:
     return transform(pose(item.position_m, np.radians(item.rpy_deg)), vertices * item.scale), triangles
 
 
-def joined(meshes: Sequence[Mesh]) -> Mesh:
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Several meshes as one."""
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     triangles = [mesh[1] + start for mesh, start in zip(meshes, first, strict=False)]
@@ -116,7 +120,7 @@ def read_mesh(path: Path) -> Mesh:
         return plain
     import open3d as o3d
 
-    with silent(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+    with suppress_stderr(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh = o3d.io.read_triangle_mesh(path)
     vertices = np.array(mesh.vertices, np.float64)
     triangles = np.array(mesh.triangles, np.int64)
@@ -154,7 +158,7 @@ def check_mesh(what: str, mesh: Mesh) -> None:
 
 
 @contextmanager
-def silent() -> Iterator[None]:
+def suppress_stderr() -> Iterator[None]:
     """Discard what a library's C code prints to stderr."""
     kept = os.dup(2)
     try:

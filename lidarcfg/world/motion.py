@@ -81,12 +81,12 @@ class Motion(Model):
         return self
 
 
-STANDING = Motion(velocity_m_s=(0.0, 0.0, 0.0))
+STATIC = Motion(velocity_m_s=(0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
 class MotionPath:
-    """A motion prepared for computing poses at any time."""
+    """The poses of a motion at any time."""
 
     motion: Motion
     times_s: Array  # (K,) of the timed poses; empty for the other kinds
@@ -110,7 +110,7 @@ class MotionPath:
 
     @cached_property
     def compiled(self) -> world.Path:
-        """The same for the core."""
+        """The path as the core takes it."""
         if self.motion.velocity_m_s is not None:
             return world.path_of_velocity(self.motion.velocity_m_s)
         if self.motion.arc is not None:
@@ -121,7 +121,7 @@ class MotionPath:
     @property
     def is_static(self) -> bool:
         """Whether the object stands: its velocity is zero."""
-        return self.motion == STANDING
+        return self.motion == STATIC
 
     def check_span(self, first_s: float, last_s: float, prefix: str = "") -> None:
         """Raises ConfigError if the motion is timed poses and they do not cover these times.
@@ -142,8 +142,8 @@ class MotionPath:
         return float((np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1) / np.diff(self.times_s)).max())
 
 
-def prepared(motion: Motion) -> MotionPath:
-    """The path of a motion."""
+def build_path(motion: Motion) -> MotionPath:
+    """The path of a motion: timed poses as arrays, quaternions and angles as matrices."""
     poses = motion.poses or ()
     rotations = np.zeros((len(poses), 3, 3))
     turned = [i for i, one in enumerate(poses) if one.quaternion_xyzw]
@@ -180,13 +180,40 @@ class Trajectory:
     path: MotionPath
     zero_ns: int  # the motion's time 0
 
+    @classmethod
+    def static(cls, T_world_vehicle: Array) -> "Trajectory":
+        """The trajectory of a vehicle that stands at T_world_vehicle (4, 4)."""
+        return cls(T_world_vehicle, build_path(STATIC), 0)
+
+    @classmethod
+    def from_poses(cls, times_s: Array, T_world_vehicle: Array, zero_ns: int) -> "Trajectory":
+        """The trajectory through poses (K, 4, 4) at times (K,), in seconds since `zero_ns`, as a .tum file has it.
+
+        Raises ConfigError for fewer than two, for times that do not ascend and for poses that are not rigid.
+        """
+        times = np.asarray(times_s, np.float64)
+        T = np.asarray(T_world_vehicle, np.float64)
+        if times.ndim != 1 or T.shape != (len(times), 4, 4) or len(times) < 2:
+            raise ConfigError(
+                f"times and poses are of shapes {times.shape} and {T.shape}; allowed: (K,), (K, 4, 4), K > 1"
+            )
+        if not (np.diff(times) > 0).all() or not abs(times).max() <= TIME_LIMIT_S:
+            raise ConfigError(f"times must ascend and be within {TIME_LIMIT_S:g} s of the start")
+        R = T[:, :3, :3]
+        rigid = (abs(np.einsum("nij,nkj->nik", R, R) - np.eye(3)) <= UNIT).all(axis=(1, 2))
+        rigid &= (np.cross(R[:, 0], R[:, 1]) * R[:, 2]).sum(axis=1) > 0  # no mirror
+        wrong = np.flatnonzero(~(rigid & (abs(T[:, :3, 3]) <= LIMIT).all(axis=1)))
+        if len(wrong):
+            raise ConfigError(f"pose {wrong[0]} is no rotation and shift of up to {LIMIT:g} m")
+        return cls(np.eye(4), _path(Motion.model_construct(poses=()), times, T[:, :3, 3].copy(), R.copy()), zero_ns)
+
     def world(self, points: Array, time_ns: NDArray[np.int64]) -> Array:
         """Points (n, 3) of the vehicle frame, each measured at its time (n,), in the world frame: deskewed.
 
         Raises ConfigError outside the timed poses.
         """
         R, t = self.motion(time_ns)
-        return transform(self.T_world_start, rotated(R, points) + t)
+        return transform(self.T_world_start, rotate(R, points) + t)
 
     def motion(self, time_ns: NDArray[np.int64]) -> tuple[Array, Array]:
         """R (n or 1, 3, 3) and t (n or 1, 3) from the vehicle frame into the frame in which the motion is described."""
@@ -196,7 +223,8 @@ class Trajectory:
         """T_world_vehicle (4, 4) at one time."""
         R, t = self.motion(np.array([time_ns]))
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R[0], t[0]
+        T[:3, :3] = R[0]
+        T[:3, 3] = t[0]
         return np.asarray(self.T_world_start @ T)
 
     def velocity_m_s(self, time_ns: NDArray[np.int64]) -> Array:
@@ -210,31 +238,7 @@ class Trajectory:
         return np.asarray((after - before) * (SECOND_NS / np.diff(ends, axis=0).T))
 
 
-def standing(T_world_vehicle: Array) -> Trajectory:
-    """The trajectory of a vehicle that does not move."""
-    return Trajectory(T_world_vehicle, prepared(STANDING), 0)
-
-
-def timed(times_s: Array, T_world_vehicle: Array, zero_ns: int) -> Trajectory:
-    """The trajectory through poses (K, 4, 4) at times (K,), in seconds since `zero_ns`, as a .tum file has it.
-
-    Raises ConfigError for fewer than two, for times that do not ascend and for poses that are not rigid.
-    """
-    times, T = np.asarray(times_s, np.float64), np.asarray(T_world_vehicle, np.float64)
-    if times.ndim != 1 or T.shape != (len(times), 4, 4) or len(times) < 2:
-        raise ConfigError(f"times and poses are of shapes {times.shape} and {T.shape}; allowed: (K,), (K, 4, 4), K > 1")
-    if not (np.diff(times) > 0).all() or not abs(times).max() <= TIME_LIMIT_S:
-        raise ConfigError(f"times must ascend and be within {TIME_LIMIT_S:g} s of the start")
-    R = T[:, :3, :3]
-    rigid = (abs(np.einsum("nij,nkj->nik", R, R) - np.eye(3)) <= UNIT).all(axis=(1, 2))
-    rigid &= (np.cross(R[:, 0], R[:, 1]) * R[:, 2]).sum(axis=1) > 0  # no mirror
-    wrong = np.flatnonzero(~(rigid & (abs(T[:, :3, 3]) <= LIMIT).all(axis=1)))
-    if len(wrong):
-        raise ConfigError(f"pose {wrong[0]} is no rotation and shift of up to {LIMIT:g} m")
-    return Trajectory(np.eye(4), _path(Motion.model_construct(poses=()), times, T[:, :3, 3].copy(), R.copy()), zero_ns)
-
-
-def rotated(R: Array, vectors: Array) -> Array:
+def rotate(R: Array, vectors: Array) -> Array:
     """Vectors (n, 3) rotated by R: one matrix each (n, 3, 3), or one for all (1, 3, 3)."""
     out: Array = vectors @ R[0].T if len(R) == 1 else np.einsum("nij,nj->ni", R, vectors)
     return out
@@ -252,10 +256,10 @@ def load_motion(path: str | Path) -> Motion:
 def load_path(path: str | Path | None) -> MotionPath:
     """The path of the motion in a file; None: a path that stands. Raises ConfigError."""
     if path is None:
-        return prepared(STANDING)
+        return build_path(STATIC)
     path = example(path)
     if path.suffix != TUM:
-        return prepared(load(path, Motion))
+        return build_path(load(path, Motion))
     rows = _read_tum(path)
     motion = Motion.model_construct(poses=())  # its poses are in the arrays
     return _path(motion, rows[:, 0].copy(), rows[:, 1:4].copy(), _matrices(rows[:, 4:]))

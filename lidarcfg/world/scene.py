@@ -11,10 +11,19 @@ from lidarcfg.config.models import Model, Position, errors_at, load
 from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
-from lidarcfg.world.gltf import buffers
+from lidarcfg.world.gltf import buffer_files
 from lidarcfg.world.gltf_models import model_objects
 from lidarcfg.world.height_field import height_field_mesh
-from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, joined, placed, plane_mesh, read_mesh, sphere_mesh
+from lidarcfg.world.meshes import (
+    Mesh,
+    box_mesh,
+    cylinder_mesh,
+    join_meshes,
+    place_mesh,
+    plane_mesh,
+    read_mesh,
+    sphere_mesh,
+)
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene_file import (
     FILES,
@@ -33,9 +42,9 @@ from lidarcfg.world.surfels import surfels_mesh
 
 DRAWN_M = 0.01  # tolerance of the facets that spheres and cylinders are drawn with
 NO_MESH = np.empty((0, 3)), np.empty((0, 3), np.int64)
-PLACES = ("center_m", "base_m", "position_m")  # the key of an object's position, by kind
+POSITION_KEYS = ("center_m", "base_m", "position_m")  # the key of an object's position, by kind
 
-Placed = tuple[Ground | SceneObject, Mesh]  # an object and its triangles in the world frame
+ObjectMesh = tuple[Ground | SceneObject, Mesh]  # an object and its triangles in the world frame
 
 
 @dataclass(frozen=True)
@@ -70,25 +79,25 @@ class Scene:
         parts = [(self.vertices_m, self.triangles)]
         parts += [sphere_mesh(sphere, tolerance_m) for sphere in self.file.spheres]
         parts += [cylinder_mesh(cylinder, tolerance_m) for cylinder in self.file.cylinders]
-        return joined(parts)
+        return join_meshes(parts)
 
 
 def load_scene(path: str | Path) -> Scene:
     """The scene in a YAML file. Raises ConfigError, also for a mesh that cannot be used, and SceneError if empty."""
     path = example(path)
     file = load(path, SceneFile)
-    return replace(built(file, path), path=path)
+    return replace(build_scene(file, path), path=path)
 
 
 def files_of(file: Model, folder: Path) -> list[Path]:
     """The files that a scene or a vehicle in a folder names, with those that these need."""
     paths = [folder / item.file for kind in FILES for item in getattr(file, kind, ()) if item.file]
-    return [one for path in paths for one in (path, *buffers(path))]
+    return [one for path in paths for one in (path, *buffer_files(path))]
 
 
-def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
+def build_scene(file: SceneFile, path: Path, at: Key = ()) -> Scene:
     """The scene of a file's values; `path` and `at` are their file and key. Raises as load_scene does."""
-    objects: list[Placed] = [(file.ground, NO_MESH)] if file.ground else []
+    objects: list[ObjectMesh] = [(file.ground, NO_MESH)] if file.ground else []
     objects += [(box, box_mesh(box)) for box in file.boxes]
     objects += [(item, NO_MESH) for item in (*file.spheres, *file.cylinders)]
     objects += [(plane, plane_mesh(plane)) for plane in file.planes]
@@ -96,10 +105,10 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
     for kind in FILES:
         for i, item in enumerate(getattr(file, kind)):
             with errors_at(path, *at, kind, i, "file"):
-                objects += _unlike(_from_file(item, path.parent), taken)
+                objects += _check_new_names(_from_file(item, path.parent), taken)
     if not objects:
         raise SceneError(f"{path}: the scene is empty; give a ground or an object")
-    vertices_m, triangles = joined([mesh for _, mesh in objects])
+    vertices_m, triangles = join_meshes([mesh for _, mesh in objects])
     return Scene(
         file=file,
         names=tuple(getattr(item, "name", GROUND) for item, _ in objects),
@@ -108,12 +117,12 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
         triangles=triangles,
         triangle_object=np.repeat(np.arange(len(objects), dtype=np.int32), [len(mesh[1]) for _, mesh in objects]),
         motions=tuple(getattr(item, "motion", None) for item, _ in objects),
-        places_m=np.array([_place_m(item) for item, _ in objects]),
+        places_m=np.array([_position_m(item) for item, _ in objects]),
         items=tuple(item for item, _ in objects),
     )
 
 
-def _unlike(made: list[Placed], taken: set[str]) -> list[Placed]:
+def _check_new_names(made: list[ObjectMesh], taken: set[str]) -> list[ObjectMesh]:
     """The objects made from a file; adds their names to `taken`. Raises SceneError if one is taken already."""
     for item, _ in made:
         name = getattr(item, "name", GROUND)
@@ -123,7 +132,7 @@ def _unlike(made: list[Placed], taken: set[str]) -> list[Placed]:
     return made
 
 
-def _from_file(item: SceneObject, folder: Path) -> list[Placed]:
+def _from_file(item: SceneObject, folder: Path) -> list[ObjectMesh]:
     """The objects that are made from a file, with their triangles. Raises SceneError."""
     if isinstance(item, HeightField):
         return [(item, height_field_mesh(item, folder))]
@@ -132,9 +141,9 @@ def _from_file(item: SceneObject, folder: Path) -> list[Placed]:
     if isinstance(item, GltfModel):
         return list(model_objects(item, folder))
     assert isinstance(item, MeshFile)
-    return [(item, placed(read_mesh(folder / item.file), item))]
+    return [(item, place_mesh(read_mesh(folder / item.file), item))]
 
 
-def _place_m(item: Ground | SceneObject) -> Position:
+def _position_m(item: Ground | SceneObject) -> Position:
     """The position of an object in its file; the ground has none."""
-    return next((getattr(item, key) for key in PLACES if hasattr(item, key)), (0.0, 0.0, 0.0))
+    return next((getattr(item, key) for key in POSITION_KEYS if hasattr(item, key)), (0.0, 0.0, 0.0))

@@ -36,7 +36,7 @@ class Ground(Model):
 
 
 class SceneObject(Model):
-    """An object of any kind."""
+    """The keys that objects of all kinds have."""
 
     name: Name
     reflectivity: Byte
@@ -130,7 +130,7 @@ class Weather(Model):
 
 
 class SceneFile(Model):
-    """A scene file."""
+    """The keys of a scene file."""
 
     kind: ClassVar[str] = "scene"
     name: Name

@@ -10,22 +10,22 @@ from lidarcfg.geometry import Array
 from lidarcfg.world.meshes import Mesh
 
 Index = NDArray[np.int64]
-Inside = NDArray[np.bool_]
+Flags = NDArray[np.bool_]
 # What mixes the bits of coordinates, so that hardly any two places share a sum: odd numbers, as in splitmix64 (Vigna)
 SHIFT = np.uint64(29)
 MIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 
 
-def welded(mesh: Mesh) -> Mesh:
+def merge_vertices(mesh: Mesh) -> Mesh:
     """The mesh with vertices at the same place made one, and without triangles of fewer than three places."""
     vertices, triangles = mesh
-    corners_at, number = places(vertices)
+    corners_at, number = unique_vertices(vertices)
     corners = number[triangles]
     a, b, c = corners.T
     return corners_at, corners[(a != b) & (b != c) & (c != a)]
 
 
-def places(vertices: Array) -> tuple[Array, Index]:
+def unique_vertices(vertices: Array) -> tuple[Array, Index]:
     """The different ones of vertices (V, 3), and the number of each vertex among them."""
     bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)  # -0 is 0
     mixed = (bits ^ (bits >> SHIFT)) * MIX
@@ -39,7 +39,7 @@ def places(vertices: Array) -> tuple[Array, Index]:
 
 
 def open_edges(mesh: Mesh) -> Array:
-    """(E, 2, 3) the edges of a welded mesh that bound an odd number of triangles; none where it is closed."""
+    """(E, 2, 3) the edges that bound an odd number of triangles of a mesh, vertices merged; none if closed."""
     vertices, triangles = mesh
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     unique, counts = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
@@ -48,15 +48,15 @@ def open_edges(mesh: Mesh) -> Array:
     return found
 
 
-def parts(mesh: Mesh) -> list[Mesh]:
-    """The parts of a welded mesh that share no vertex."""
+def connected_components(mesh: Mesh) -> list[Mesh]:
+    """The components of a mesh, its vertices merged: they share no vertex."""
     vertices, triangles = mesh
-    part = _least_joined(len(vertices), triangles)[triangles[:, 0]]
-    return [(vertices, triangles[part == number]) for number in np.unique(part)]
+    component = _component_labels(len(vertices), triangles)[triangles[:, 0]]
+    return [(vertices, triangles[component == label]) for label in np.unique(component)]
 
 
-def _least_joined(vertices: int, triangles: Index) -> Index:
-    """(V,): for each of so many vertices, the least of those that triangles join it with.
+def _component_labels(vertices: int, triangles: Index) -> Index:
+    """(V,): for each of V vertices, the least of those that triangles connect it with.
 
     By hooking and pointer jumping (Shiloach and Vishkin 1982).
     """
@@ -72,8 +72,8 @@ def _least_joined(vertices: int, triangles: Index) -> Index:
             least = further
 
 
-def inside(closed: Sequence[Mesh], x: Array, y: Array, z: Array) -> Inside:
-    """(nx, ny, nz): which points of a grid are inside any of the parts of a closed, welded mesh; x, y and z ascend.
+def inside_grid(closed: Sequence[Mesh], x: Array, y: Array, z: Array) -> Flags:
+    """(nx, ny, nz): which points of a grid are inside any component of a closed mesh; x, y and z ascend.
 
     A line along x enters and leaves a closed part an even number of times: whether it passes through a triangle is
     told edge by edge, by the same numbers for both neighbours, so that it cannot pass between them.
@@ -89,13 +89,14 @@ def inside(closed: Sequence[Mesh], x: Array, y: Array, z: Array) -> Inside:
 
 def _lines(corners: Array, y: Array, z: Array) -> Index:
     """(T, 4): which lines along x may cross triangles (T, 3, 3): from and to an index of y, and of z."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    low = corners.min(axis=1)
+    high = corners.max(axis=1)
     ends = [(np.searchsorted(at, low[:, n]), np.searchsorted(at, high[:, n], "right")) for n, at in ((1, y), (2, z))]
     return np.stack([*ends[0], *ends[1]], axis=1)
 
 
-def inside_points(closed: Sequence[Mesh], points: Array) -> Inside:
-    """(N,): which points (N, 3) are inside any of the parts of a closed, welded mesh, as `inside` has it."""
+def inside_points(closed: Sequence[Mesh], points: Array) -> Flags:
+    """(N,): which points (N, 3) are inside any component of a closed mesh, as `inside_grid` has it."""
     found = np.zeros(len(points), np.bool_)
     for vertices, triangles in closed:
         odd = np.zeros(len(points), np.bool_)
@@ -104,8 +105,8 @@ def inside_points(closed: Sequence[Mesh], points: Array) -> Inside:
     return found
 
 
-def holds(closed: Sequence[Mesh], low: Array, high: Array) -> bool:
-    """Whether a box is inside the parts of a closed, welded mesh for certain.
+def contains_box(closed: Sequence[Mesh], low: Array, high: Array) -> bool:
+    """Whether a box is certainly inside the components of a closed mesh.
 
     One corner is, and no triangle's bounds touch it.
     """

@@ -15,7 +15,7 @@ from lidarcfg.clouds.rows import read_rows
 from lidarcfg.errors import CloudError, ConversionError, SceneError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.world.meshes import FILE_MAX, Mesh, check_readable, placed
+from lidarcfg.world.meshes import FILE_MAX, Mesh, check_readable, place_mesh
 from lidarcfg.world.scene_file import Surfels
 
 SIDES = 6
@@ -32,7 +32,7 @@ Points = tuple[Array, Array | None]  # (N, 3) places and, where they are known, 
 def surfels_mesh(item: Surfels, folder: Path) -> Mesh:
     """The discs around a file's points, in the world frame. Raises SceneError if it cannot be used."""
     points, normals = read_points(folder / item.file)
-    return placed(discs(points, normals, item.radius_m / item.scale), item)
+    return place_mesh(discs(points, normals, item.radius_m / item.scale), item)
 
 
 def discs(points: Array, normals: Array, radius: float) -> Mesh:
@@ -64,7 +64,7 @@ def read_points(path: Path) -> tuple[Array, Array]:
     check_memory(f"{path}: a map of {len(points):,} points", len(points) * POINT_BYTES)
     _check_finite(path, points)
     if normals is None:
-        return points, _estimated(path, points)
+        return points, _estimate_normals(path, points)
     _check_finite(path, normals)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     if not length.all():
@@ -103,7 +103,7 @@ def _check_finite(path: Path, rows: Array) -> None:
         raise SceneError(f"{path}: point {odd[0]} is not finite")
 
 
-def _estimated(path: Path, points: Array) -> Array:
+def _estimate_normals(path: Path, points: Array) -> Array:
     """(N, 3) the normal of the best plane through each point's nearest neighbours."""
     import open3d as o3d
 

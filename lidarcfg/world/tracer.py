@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from lidarcfg.core import world
 from lidarcfg.geometry import Array
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import MotionPath, prepared
+from lidarcfg.world.motion import MotionPath, build_path
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.scene_file import Cylinder, Sphere
 
 TRIANGLE, SPHERE, CYLINDER = range(3)  # kinds of shapes
-NO_SLOT, GROUND_SLOT = -2, -1
+NO_SLOT = -2
+GROUND_SLOT = -1
 NO_OBJECT = -1  # nothing; the ground is object 0
 
 Shapes = tuple[Array, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32]]  # and kinds, numbers, objects
@@ -48,7 +49,7 @@ class Hits(NamedTuple):
 
 @dataclass(frozen=True)
 class Dynamic:
-    """A dynamic object."""
+    """An object that moves: its index in the scene, and its path."""
 
     object: int
     path: MotionPath
@@ -61,15 +62,15 @@ class Tracer:
         self.scene = scene
         self.zero_ns = zero_ns
         self.origin_m = np.array(origin_m, np.float64)
-        self.dynamic = tuple(Dynamic(i, prepared(motion)) for i, motion in enumerate(scene.motions) if motion)
+        self.dynamic = tuple(Dynamic(i, build_path(motion)) for i, motion in enumerate(scene.motions) if motion)
         moving = np.zeros(len(scene.names), np.bool_)
         moving[[one.object for one in self.dynamic]] = True
         ground = scene.file.ground
         objects = [one.object for one in self.dynamic]
         self.world = world.World(
             ground_m=ground.z_m - float(self.origin_m[2]) if ground else np.inf,
-            fixed=bvh(scene, ~moving, self.origin_m),
-            moving=[bvh(scene, np.arange(len(moving)) == i, scene.places_m[i]) for i in objects],
+            fixed=build_bvh(scene, ~moving, self.origin_m),
+            moving=[build_bvh(scene, np.arange(len(moving)) == i, scene.places_m[i]) for i in objects],
             places_m=np.array([scene.places_m[i] - self.origin_m for i in objects]).reshape(-1, 3),
             speeds_m_s=np.array([one.path.speed_max_m_s for one in self.dynamic], np.float64),
             paths=[one.path.compiled for one in self.dynamic],
@@ -113,7 +114,7 @@ class Tracer:
             one.path.check_span(first_s, last_s, f"{self.scene.names[one.object]}: ")
 
 
-def bvh(scene: Scene, which: NDArray[np.bool_], origin_m: Array) -> world.Bvh:
+def build_bvh(scene: Scene, which: NDArray[np.bool_], origin_m: Array) -> world.Bvh:
     """The hierarchy over some of a scene's objects (objects,), relative to a point (3,)."""
     return world.Bvh(*shapes_of(scene, which, origin_m))
 

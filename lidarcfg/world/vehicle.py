@@ -23,13 +23,23 @@ from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.meshes import Mesh
-from lidarcfg.world.scene import Scene, built
+from lidarcfg.world.scene import Scene, build_scene
 from lidarcfg.world.scene_file import KINDS, Box, Cylinder, MeshFile, Plane, SceneFile, SceneObject, Sphere, check_names
-from lidarcfg.world.solids import Inside, holds, inside, inside_points, open_edges, parts, welded
+from lidarcfg.world.solids import (
+    Flags,
+    connected_components,
+    contains_box,
+    inside_grid,
+    inside_points,
+    merge_vertices,
+    open_edges,
+)
 from lidarcfg.world.tracer import NO_SHAPES, Tracer, shapes_of
 
-MANY = 500_000  # triangles: reading and checking them takes seconds
-LEAST_M, TYPICAL_M, MOST_M = 0.05, 5.0, 40.0  # sizes of a vehicle's mesh: a part of one, a car, the longest bus
+MANY_TRIANGLES = 500_000  # triangles: reading and checking them takes seconds
+LEAST_M = 0.05  # the size of a vehicle's mesh: of a part of one
+TYPICAL_M = 5.0  # of a car
+MOST_M = 40.0  # of the longest bus
 UNITS = {1.0: "metre", 0.001: "millimetre", 0.01: "centimetre", 0.0254: "inch"}  # by the scale that makes them metres
 ORIGIN = 0.0, 0.0, 0.0
 
@@ -94,7 +104,7 @@ class VehicleFile(Model):
 
 @dataclass(frozen=True)
 class Solid:
-    """A closed body."""
+    """A closed body: points can be inside."""
 
     name: str
     low_m: Array  # (3,) of its bounds
@@ -102,28 +112,28 @@ class Solid:
     shape: Mesh | Sphere | Cylinder
 
     @cached_property
-    def parts(self) -> list[Mesh]:
-        """Of a mesh."""
+    def components(self) -> list[Mesh]:
+        """The connected components of a mesh; they are closed."""
         assert isinstance(self.shape, tuple)
-        return parts(self.shape)
+        return connected_components(self.shape)
 
-    def inside(self, points_m: Array) -> Inside:
+    def inside(self, points_m: Array) -> Flags:
         """(N,): which points (N, 3) are inside."""
         if isinstance(self.shape, tuple):
-            near: Inside = np.asarray(((points_m >= self.low_m) & (points_m <= self.high_m)).all(axis=1))
+            near: Flags = np.asarray(((points_m >= self.low_m) & (points_m <= self.high_m)).all(axis=1))
             if near.any():
-                near[near] = inside_points(self.parts, points_m[near])
+                near[near] = inside_points(self.components, points_m[near])
             return near
         middle = 0.5 * (self.low_m + self.high_m)
         axes = slice(3) if isinstance(self.shape, Sphere) else slice(2)
         flat = ((points_m - middle)[:, axes] ** 2).sum(axis=1) < self.shape.radius_m**2
         return np.asarray(flat & (points_m[:, 2] > self.low_m[2]) & (points_m[:, 2] < self.high_m[2]))
 
-    def holds(self, low_m: Array, high_m: Array) -> bool:
+    def contains_box(self, low_m: Array, high_m: Array) -> bool:
         """Whether a box is certainly inside."""
         if isinstance(self.shape, tuple):
             inside_bounds = bool((low_m >= self.low_m).all() and (high_m <= self.high_m).all())
-            return inside_bounds and holds(self.parts, low_m, high_m)
+            return inside_bounds and contains_box(self.components, low_m, high_m)
         corners = np.array(list(product(*zip(low_m, high_m, strict=True))))
         return bool(self.inside(corners).all())
 
@@ -136,7 +146,7 @@ class Vehicle:
     excluded: tuple[str, ...]  # the names of the closed bodies whose insides are no part of the region
     allow_inside: bool
     file: VehicleFile  # what it was built from, with whole paths
-    closed: dict[str, Mesh]  # the welded triangles of closed boxes and meshes
+    closed: dict[str, Mesh]  # closed boxes and meshes by name, their vertices merged
     warnings: tuple[str, ...]  # what looks wrong with its meshes
 
     @property
@@ -158,10 +168,12 @@ class Vehicle:
         for index, name in enumerate(self.scene.names):
             item = rounds.get(index)
             if isinstance(item, Sphere):
-                centre, radius = np.array(item.center_m), item.radius_m
+                centre = np.array(item.center_m)
+                radius = item.radius_m
                 found.append(Solid(name, centre - radius, centre + radius, item))
             elif item:
-                base, radius = np.array(item.base_m), item.radius_m
+                base = np.array(item.base_m)
+                radius = item.radius_m
                 high = base + np.array((radius, radius, item.height_m))
                 found.append(Solid(name, base - (radius, radius, 0), high, item))
             elif name in self.closed:
@@ -169,7 +181,7 @@ class Vehicle:
                 found.append(Solid(name, mesh[0].min(axis=0), mesh[0].max(axis=0), mesh))
         return tuple(found)
 
-    def inside(self, name: str, x: Array, y: Array, z: Array) -> Inside:
+    def inside(self, name: str, x: Array, y: Array, z: Array) -> Flags:
         """(nx, ny, nz) which points of a grid are inside a body; x, y and z ascend. Nothing is inside an open body."""
         found = np.zeros((len(x), len(y), len(z)), np.bool_)
         solid = next((solid for solid in self.solids if solid.name == name), None)
@@ -179,13 +191,13 @@ class Vehicle:
                 for at, low, high in zip((x, y, z), solid.low_m, solid.high_m, strict=True)
             )
             if isinstance(solid.shape, tuple):
-                found[a, b, c] = inside(solid.parts, x[a], y[b], z[c])
+                found[a, b, c] = inside_grid(solid.components, x[a], y[b], z[c])
             else:
                 grid = np.stack(np.meshgrid(x[a], y[b], z[c], indexing="ij"), axis=-1)
                 found[a, b, c] = solid.inside(grid.reshape(-1, 3)).reshape(grid.shape[:3])
         return found
 
-    def around(self, point_m: Array) -> str | None:
+    def body_at(self, point_m: Array) -> str | None:
         """The name of a body that contains a point (3,), or None."""
         points = np.asarray(point_m, np.float64)[None]
         return next((solid.name for solid in self.solids if solid.inside(points)[0]), None)
@@ -200,33 +212,34 @@ class Vehicle:
                 out[some] = np.maximum(out[some], np.where(solid.inside(points_m[some]), depth[some], 0.0))
         return out
 
-    def holds(self, low_m: Array, high_m: Array) -> str | None:
+    def body_containing(self, low_m: Array, high_m: Array) -> str | None:
         """The name of a body that certainly contains the box from low (3,) to high (3,), or None."""
-        return next((solid.name for solid in self.solids if solid.holds(low_m, high_m)), None)
+        return next((solid.name for solid in self.solids if solid.contains_box(low_m, high_m)), None)
 
 
 def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     """The vehicle under a key of a file. Raises ConfigError for an invalid mesh, and for an open body to exclude."""
     began = time.perf_counter()
-    scene = built(SceneFile(name="vehicle", **{kind: getattr(file, kind) for kind in KINDS}), path, at)
-    closed, warnings = dict[str, Mesh](), list[str]()
+    scene = build_scene(SceneFile(name="vehicle", **{kind: getattr(file, kind) for kind in KINDS}), path, at)
+    closed = dict[str, Mesh]()
+    warnings = list[str]()
     for kind in ("boxes", "planes", "meshes"):
         for i, item in enumerate(getattr(file, kind)):
-            mesh = mesh_of(scene, scene.names.index(item.name))
+            mesh = object_mesh(scene, scene.names.index(item.name))
             edges = open_edges(mesh)
             if len(edges) == 0:
                 closed[item.name] = mesh
             elif item.exclude:
                 raise error_at(
-                    path, (*at, kind, i, "exclude"), f"{_open(item, edges)}; close the mesh, or remove exclude"
+                    path, (*at, kind, i, "exclude"), f"{_describe_open(item, edges)}; close the mesh, or remove exclude"
                 )
             elif kind == "meshes":
-                solid = sum(not len(open_edges(part)) for part in parts(mesh))
-                what = f"{_open(item, edges)}; {solid} closed parts; it still blocks beams"
+                solid = sum(not len(open_edges(part)) for part in connected_components(mesh))
+                what = f"{_describe_open(item, edges)}; {solid} closed parts; it still blocks beams"
                 warnings.append(_warning(path, (*at, kind, i), what))
             if kind == "meshes":
-                warnings += [_warning(path, (*at, kind, i, "file"), what) for what in _oddities(item, mesh)]
-    if len(scene.triangles) > MANY:
+                warnings += [_warning(path, (*at, kind, i, "file"), what) for what in _unit_warnings(item, mesh)]
+    if len(scene.triangles) > MANY_TRIANGLES:
         seconds = time.perf_counter() - began
         what = f"the vehicle has {len(scene.triangles):,} triangles; reading them took {seconds:.1f} s"
         warnings.append(_warning(path, at, what))
@@ -250,7 +263,7 @@ def rig_vehicle(rig: Rig) -> Vehicle | None:
     return vehicle(section.checked(VehicleFile), Path(section.path), section.at) if section else None
 
 
-def carried(rig: Rig | None, path: Path | None) -> Vehicle | None:
+def resolve_vehicle(rig: Rig | None, path: Path | None) -> Vehicle | None:
     """The vehicle in a file, or the rig's if `path` is None; no vehicle if it is `none`. Raises ConfigError."""
     if path is None:
         return rig_vehicle(rig) if rig else None
@@ -260,18 +273,18 @@ def carried(rig: Rig | None, path: Path | None) -> Vehicle | None:
 def check_outside(bodies: Vehicle, mounts: Iterable[Mount], path: Path | None = None) -> None:
     """Raises ConfigError if a sensor is in a closed body, unless the vehicle allows it; `path` is the rig's file."""
     for i, mount in enumerate(mounts):
-        body = None if bodies.allow_inside else bodies.around(np.array(mount.position_m))
+        body = None if bodies.allow_inside else bodies.body_at(np.array(mount.position_m))
         if body:
             what = f"{mount.name} is inside the vehicle's {body!r}; move it, or set allow_inside: true"
             raise error_at(path, ("sensors", i), what) if path else ConfigError(what)
 
 
-def mesh_of(scene: Scene, index: int) -> Mesh:
-    """The triangles of one of a scene's objects, welded."""
-    return welded((scene.vertices_m, scene.triangles[scene.triangle_object == index]))
+def object_mesh(scene: Scene, index: int) -> Mesh:
+    """The triangles of one of a scene's objects, with vertices at the same place merged."""
+    return merge_vertices((scene.vertices_m, scene.triangles[scene.triangle_object == index]))
 
 
-def _open(item: SceneObject, edges: Array) -> str:
+def _describe_open(item: SceneObject, edges: Array) -> str:
     """A message that a body is open, and where."""
     shown = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
     source = f" of {item.file}" if isinstance(item, MeshFile) else ""
@@ -295,7 +308,7 @@ def likely_scale(size: Array) -> float:
     return min(UNITS, key=lambda one: abs(math.log(float(size.max()) * one / TYPICAL_M)))
 
 
-def _oddities(item: MeshFile, mesh: Mesh) -> list[str]:
+def _unit_warnings(item: MeshFile, mesh: Mesh) -> list[str]:
     """A warning if the size of a vehicle's mesh suggests another unit."""
     size_m = np.ptp(mesh[0], axis=0)
     if LEAST_M <= size_m.max() <= MOST_M or (scale := likely_scale(size_m / item.scale)) == item.scale:
@@ -304,10 +317,10 @@ def _oddities(item: MeshFile, mesh: Mesh) -> list[str]:
     return [f"{item.name!r} of {item.file} is {size} m large; if its unit is the {UNITS[scale]}, set scale: {scale:g}"]
 
 
-def obstacles(scenes: Sequence[Scene], origin_m: Array) -> world.Bvh:
+def static_bvh(scenes: Sequence[Scene], origin_m: Array) -> world.Bvh:
     """The hierarchy over the static objects of scenes, relative to a point (3,)."""
     columns = [NO_SHAPES]
     for scene in scenes:
         static = np.array([motion is None for motion in scene.motions])
         columns.append(shapes_of(scene, static, origin_m))
-    return world.Bvh(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))
+    return world.Bvh(*(np.concatenate(column) for column in zip(*columns, strict=True)))

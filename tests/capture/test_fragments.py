@@ -10,7 +10,7 @@ from lidarcfg.capture.fragments import PENDING_MAX, TIMEOUT_NS, Fragment, Reasse
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import Frames, read_datagrams, write_pcap
 from lidarcfg.packets.codec import Payloads
-from lidarcfg.packets.network import Header, Network
+from lidarcfg.packets.facts import Header, Network
 from tests.capture_fixtures import no_warning, recording
 from tests.naive.fragments import reassembled
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.capture.manifest import load_manifest, manifest_path
+from lidarcfg.capture.manifest import load_manifest
 from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.errors import ConfigError
 from lidarcfg.sensors.sensor import catalogue
@@ -116,20 +116,20 @@ def test_a_change_in_what_inputs_name_is_noticed(tmp_path):
     for name, digest in (noted["rig"] | noted["scene"]).items():
         assert hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() == digest
     assert values["models"] == {"vlp-16": hashlib.sha256(catalogue()["vlp-16"].read_bytes()).hexdigest()}
-    capture, manifest = tmp_path / "a.pcap", load_manifest(tmp_path / "a.pcap")
+    manifest = load_manifest(tmp_path / "a.pcap")
     for key, names in noted.items():
         for i, name in enumerate(names):
             content = (tmp_path / name).read_bytes()
             (tmp_path / name).write_bytes(content + b"\n")
             with pytest.raises(ConfigError, match=rf"{key}.files\[{i}\].file: .*{name} has changed since the export"):
-                manifest.path(key, manifest_path(capture))
+                manifest.input_path(key)
             (tmp_path / name).write_bytes(content)
-        assert manifest.path(key, manifest_path(capture)) == tmp_path / f"{key}.yaml"
+        assert manifest.input_path(key) == tmp_path / f"{key}.yaml"
     other = manifest.model_copy(update={"models": {"vlp-16": "0" * 64}})
     with pytest.raises(
         ConfigError, match=r"models.vlp-16: vlp-16 differs between this catalogue and that of the export"
     ):
-        other.path("rig", manifest_path(capture))
+        other.input_path("rig")
     lidarcfg(*words, "--vehicle", "none", "-o", "b.pcap", cwd=tmp_path)
     values = yaml.safe_load((tmp_path / "b.pcap.yaml").read_text())
     assert values["vehicle"] == "none"

@@ -12,7 +12,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order, save_companions
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.replay import replay
 from lidarcfg.capture.selection import Selection
@@ -22,7 +22,7 @@ from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.world.motion import Motion, Trajectory, prepared
+from lidarcfg.world.motion import Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning
 from tests.command_line import lidarcfg
@@ -37,15 +37,19 @@ FOUND = {
     "192.168.1.204:6699": ("helios-16p", "first"),
     "192.168.1.205:2368": ("vlp-16", "last"),
 }
-DRIVEN = Trajectory(pose((-5.0, 0.0, 0.0), (0.0, 0.0, 0.1)), prepared(Motion(velocity_m_s=(12.0, 1.0, 0.0))), START_NS)
+DRIVEN = Trajectory(
+    pose((-5.0, 0.0, 0.0), (0.0, 0.0, 0.1)), build_path(Motion(velocity_m_s=(12.0, 1.0, 0.0))), START_NS
+)
 
 
 def sent(folder, rig, at=None):
     """A capture in the street with what readers need beside it, and the ground truth."""
     path, truth = folder / "mixed.pcap", []
-    streams = export(rig, load_scene(STREET), np.eye(4) if at is None else at, DURATION_NS, on_truth=truth.append)
+    streams = simulated_frames(
+        rig, load_scene(STREET), np.eye(4) if at is None else at, DURATION_NS, on_truth=truth.append
+    )
     write_pcap(path, in_time_order(streams))
-    save_companions(path, rig.mounts)
+    save_sidecar_files(path, rig.mounts)
     return path, np.concatenate(truth)
 
 

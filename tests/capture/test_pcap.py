@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidarcfg.capture import pcap
-from lidarcfg.capture.pcap import Datagram, one_by_one, read_batches, read_datagrams
+from lidarcfg.capture.pcap import Datagram, each_datagram, read_batches, read_datagrams
 from lidarcfg.errors import PacketError
 from tests.capture_fixtures import no_warning, recording
 from tests.capture_fixtures import write_datagrams as write_pcap
@@ -191,7 +191,9 @@ def test_zeros_that_a_crash_has_left_behind_end_the_file(tmp_path):
     os.truncate(path, 1 << 33)
     for from_ns in (None, AT_NS):
         warnings: list[str] = []
-        found = [one.payload[0] for batch in read_batches(path, warnings.append, from_ns) for one in one_by_one(batch)]
+        found = [
+            one.payload[0] for batch in read_batches(path, warnings.append, from_ns) for one in each_datagram(batch)
+        ]
         assert found == [0, 1, 2]
         assert len(warnings) == 1
         assert re.search("cut off or damaged after [0-9]+ records; the whole records were read$", warnings[0])

@@ -13,7 +13,7 @@ import dpkt
 import pytest
 
 from lidarcfg.capture.pcap import Datagram
-from lidarcfg.capture.replay import looped, replay, selected
+from lidarcfg.capture.replay import read_selected, repeat, replay
 from lidarcfg.capture.selection import Selection
 from lidarcfg.errors import PacketError
 from tests.command_line import lidarcfg, started
@@ -100,10 +100,10 @@ def test_what_cannot_be_sent():
 def test_a_loop_goes_on_at_the_mean_interval():
     """Three packets 10 and 20 ms apart: the next pass begins 15 ms after the last."""
     sent = [datagram(ns, 2368, bytes([n])) for n, ns in enumerate((0, 10_000_000, 30_000_000))]
-    got = list(itertools.islice(looped(lambda: iter(sent)), 8))
+    got = list(itertools.islice(repeat(lambda: iter(sent)), 8))
     assert [one.payload for one in got] == [bytes([n % 3]) for n in range(8)]
     assert [(one.time_ns - AT_NS) // 1_000_000 for one in got] == [0, 10, 30, 45, 55, 75, 90, 100]
-    assert list(looped(lambda: iter(()))) == []
+    assert list(repeat(lambda: iter(()))) == []
 
 
 def test_a_part_is_what_dpkt_finds_in_it(tmp_path):
@@ -115,7 +115,7 @@ def test_a_part_is_what_dpkt_finds_in_it(tmp_path):
         frames = [(time, bytes(dpkt.ethernet.Ethernet(frame).data.data.data)) for time, frame in dpkt.pcap.Reader(file)]
     first = frames[0][0]
     expected = [payload for time, payload in frames if 0.02 - 5e-7 <= float(time) - float(first) < 0.05 - 5e-7]
-    found = list(selected(tmp_path / "a.pcap", pytest.fail, Selection(0.02, 0.05)))
+    found = list(read_selected(tmp_path / "a.pcap", pytest.fail, Selection(0.02, 0.05)))
     assert [one.payload for one in found] == expected
     assert 20 < len(expected) < 40
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order, save_companions
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.ground_truth import TruthFile
 from lidarcfg.capture.objects import load_objects
 from lidarcfg.capture.pcap import write_pcap
@@ -36,8 +36,10 @@ def made(request, tmp_path_factory):
     rig, street = replace(load_rig(RIG), mounts=tuple(mounts)), load_scene(STREET)
     save_rig(rig, folder / "rig.yaml")
     with TruthFile(folder / "t.npz", [mount.name for mount in rig.mounts], street.names) as truth:
-        write_pcap(folder / "a.pcap", in_time_order(export(rig, street, np.eye(4), DURATION_NS, on_truth=truth.add)))
-        save_companions(folder / "a.pcap", rig.mounts)
+        write_pcap(
+            folder / "a.pcap", in_time_order(simulated_frames(rig, street, np.eye(4), DURATION_NS, on_truth=truth.add))
+        )
+        save_sidecar_files(folder / "a.pcap", rig.mounts)
         truth.save()
     return folder, rig, request.param
 

@@ -26,7 +26,7 @@ from lidarcfg.placement import plan as plans
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.sweep import Cluster, Processes, WorkerDiedError, sweep
-from lidarcfg.report import SweepFolder
+from lidarcfg.report.sweep import SweepFolder
 from tests.command_line import lidarcfg as command
 
 BIN = Path(sys.executable).parent
@@ -164,7 +164,7 @@ def test_a_plain_error_is_a_row_of_its_own(plan, tmp_path):
 class Dead:
     """Workers that are killed in every run."""
 
-    count = room = 2
+    count = capacity = 2
 
     def submit(self, function, *arguments):
         future = Future()

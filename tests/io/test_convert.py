@@ -16,7 +16,7 @@ from lidarcfg.capture.pcap import Datagram
 from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import save_clouds
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.io.formats import FORMATS, INPUTS, chosen
+from lidarcfg.io.formats import FORMATS, INPUTS, choose_format
 from tests.capture_fixtures import write_datagrams
 from tests.clouds.test_cloud import cloud
 from tests.command_line import lidarcfg
@@ -69,7 +69,7 @@ def test_help_lists_every_conversion():
     ],
 )
 def test_which_format_is_meant(source, output, name, meant):
-    assert chosen(Path(source), Path(output), name).name == meant
+    assert choose_format(Path(source), Path(output), name).name == meant
 
 
 @pytest.mark.parametrize(

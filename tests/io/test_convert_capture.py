@@ -15,7 +15,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.pcap import Datagram, write_pcap
 from lidarcfg.capture.scans import Head, scans
 from lidarcfg.clouds.cloud import concatenate
@@ -40,7 +40,7 @@ def named_rig() -> Rig:
 def capture(tmp_path_factory):
     """Three and a half revolutions of two VLP-16 in the street."""
     path = tmp_path_factory.mktemp("capture") / "a.pcap"
-    write_pcap(path, in_time_order(export(named_rig(), load_scene(STREET), np.eye(4), DURATION_NS)))
+    write_pcap(path, in_time_order(simulated_frames(named_rig(), load_scene(STREET), np.eye(4), DURATION_NS)))
     return path
 
 

@@ -16,7 +16,7 @@ from laspy.header import GpsTimeType
 from lidarcfg.clouds.cloud import FIELDS, PointCloud, load_cloud, save_clouds
 from lidarcfg.clouds.las import gps_seconds, load_las, save_las, unix_ns
 from lidarcfg.errors import CloudError, ConversionError
-from lidarcfg.io.formats import INPUTS, chosen, convert
+from lidarcfg.io.formats import INPUTS, choose_format, convert
 from lidarcfg.io.kitti import load_kitti, save_kitti
 from tests.capture_fixtures import no_warning
 from tests.clouds.test_cloud import assert_same, cloud
@@ -38,7 +38,12 @@ def empty() -> PointCloud:
 
 def converted(source, output, warnings=None, name=None) -> str:
     return convert(
-        source, output, chosen(source, output, name), None, None, no_warning if warnings is None else warnings.append
+        source,
+        output,
+        choose_format(source, output, name),
+        None,
+        None,
+        no_warning if warnings is None else warnings.append,
     )
 
 

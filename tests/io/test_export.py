@@ -10,7 +10,7 @@ from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import pose
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.world.motion import Motion, Trajectory, prepared, standing
+from lidarcfg.world.motion import Motion, Trajectory, build_path
 from tests import command_line
 from tests.capture_fixtures import no_warning
 
@@ -80,11 +80,14 @@ def paths():
     """Trajectories made in Python: a line, an arc, timed poses by keys and by arrays; all tilted and raised at first."""
     T = pose((1.0, 2.0, 0.5), (0.02, -0.03, 0.7))
     timed = [{"time_s": s, "position_m": (9 * s, s * s, 0.1), "rpy_deg": (0, 5 * s, 30 * s)} for s in (0.9, 1, 1.2)]
-    keys = prepared(Motion(poses=tuple(timed)))
+    keys = build_path(Motion(poses=tuple(timed)))
     arrays = replace(keys, motion=Motion.model_construct(poses=()))  # as of a .tum file
     line, arc = Motion(velocity_m_s=(20, 1, 0)), Motion(arc={"speed_m_s": 9, "yaw_rate_deg_s": 40, "heading_deg": 10})
     late_ns = START_NS - 10**9  # their time 0: they are under way for a second
-    return [standing(T), *(Trajectory(T, path, late_ns) for path in (prepared(line), prepared(arc), keys, arrays))]
+    return [
+        Trajectory.static(T),
+        *(Trajectory(T, path, late_ns) for path in (build_path(line), build_path(arc), keys, arrays)),
+    ]
 
 
 @pytest.mark.parametrize("moved", paths(), ids=["stands", "line", "arc", "keys", "arrays"])
@@ -129,13 +132,13 @@ def test_what_a_manifest_lacks_is_said(tmp_path):
         assert what in told[-1]
         assert not list(tmp_path.glob("a.pcap.*"))
     with pytest.raises(LidarcfgError, match="at is a trajectory, and a file of another is given"):
-        lidarcfg.export(RIG, STREET, out, 0.002, at=standing(np.eye(4)), trajectory="drive.yaml")
+        lidarcfg.export(RIG, STREET, out, 0.002, at=Trajectory.static(np.eye(4)), trajectory="drive.yaml")
 
 
 def test_what_an_export_wrote_beside_another_may_be_given_to_the_next(tmp_path):
     """It stays; what is no longer needed goes."""
     out, own = tmp_path / "a.pcap", tmp_path / "a.pcap.rig.yaml"
-    moved = Trajectory(np.eye(4), prepared(Motion(velocity_m_s=(3, 0, 0))), START_NS)
+    moved = Trajectory(np.eye(4), build_path(Motion(velocity_m_s=(3, 0, 0))), START_NS)
     lidarcfg.export(lidarcfg.load_rig(ROOF), STREET, out, 0.002, at=moved)
     assert (tmp_path / "a.pcap.trajectory.yaml").exists()
     lidarcfg.export(own, STREET, out, 0.002)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import concatenate
@@ -290,7 +290,7 @@ def test_several_modes_in_one_stream(tmp_path):
         )
         (tmp_path / "rig.yaml").write_text(f"name: r\nsensors:\n{sensors}")
         rig = load_rig(tmp_path / "rig.yaml")
-        frames = list(in_time_order(export(rig, street, np.eye(4), 20_000_000, START_NS + begin_ns)))
+        frames = list(in_time_order(simulated_frames(rig, street, np.eye(4), 20_000_000, START_NS + begin_ns)))
         write_pcap(tmp_path / f"{mode}.pcap", frames)
         streams += frames
     write_pcap(tmp_path / "a.pcap", streams)
@@ -319,7 +319,7 @@ def test_a_helios_that_changes_its_mode(tmp_path, model, late):
     for mode, begin_ns in modes.items():
         sensor = f"{{name: s, model: {model}, position_m: [0, 0, 2], return_mode: {mode}}}"
         (tmp_path / "rig.yaml").write_text(f"name: r\nsensors: [{sensor}]\n")
-        frames = export(load_rig(tmp_path / "rig.yaml"), street, np.eye(4), 20_000_000, START_NS + begin_ns)
+        frames = simulated_frames(load_rig(tmp_path / "rig.yaml"), street, np.eye(4), 20_000_000, START_NS + begin_ns)
         write_pcap(path := tmp_path / f"{mode}.pcap", in_time_order(frames))
         datagrams = datagrams_of(path)
         difop = next(one for one in datagrams if one.payload.startswith(bytes.fromhex("a5ff005a")))
@@ -401,7 +401,7 @@ def test_exports_come_back_whole(tmp_path):
     ]
     (tmp_path / "rig.yaml").write_text("name: r\nsensors:\n" + "".join(f"  - {one}\n" for one in sensors))
     rig = load_rig(tmp_path / "rig.yaml")
-    write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, load_scene(STREET), np.eye(4), 30_000_000)))
+    write_pcap(tmp_path / "a.pcap", in_time_order(simulated_frames(rig, load_scene(STREET), np.eye(4), 30_000_000)))
     columns, back = there_and_back(tmp_path / "a.pcap", tmp_path)
     assert back.read_bytes() == (tmp_path / "a.pcap").read_bytes()
     assert sum(key.endswith("/range_m") for key in columns) == len(EXPORTS)
@@ -439,7 +439,7 @@ def test_checksums_are_made_right(tmp_path):
 
     (tmp_path / "rig.yaml").write_text("name: r\nsensors: [{name: s, model: pandar-xt16, position_m: [0, 0, 2]}]")
     rig, stage = load_rig(tmp_path / "rig.yaml"), load_scene(STREET)
-    write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, stage, np.eye(4), 5_000_000)))
+    write_pcap(tmp_path / "a.pcap", in_time_order(simulated_frames(rig, stage, np.eye(4), 5_000_000)))
     data = (tmp_path / "a.pcap").read_bytes()
     with (tmp_path / "a.pcap").open("rb") as file:
         frames = [frame for _, frame in dpkt.pcap.Reader(file)]

@@ -4,9 +4,9 @@ import numpy as np
 
 from lidarcfg.config.models import Model, loads
 from lidarcfg.geometry import directions
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Payloads, Returns
-from lidarcfg.packets.network import Header, Network
-from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
+from lidarcfg.packets.codec import Codec, Decoder, DecodeStatistics, Payloads, Returns
+from lidarcfg.packets.facts import Header, Network
+from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor
 
 RETURN = np.dtype([("time_ns", "<i8"), ("azimuth", "<f8"), ("range_mm", "<u4"), ("laser", "u1"), ("strength", "u1")])
@@ -20,7 +20,7 @@ class Facts(Model):
     columns: int  # in a packet
 
 
-class Toy(RotatingSensorCodec):
+class Toy(SequenceTiming, Codec):
     """The packets of one sensor."""
 
     facts_model = Facts
@@ -29,7 +29,7 @@ class Toy(RotatingSensorCodec):
         self.sensor, self.columns = sensor, sensor.section.checked(Facts).columns
         self.dtype = np.dtype([("magic", "S4"), ("number", "<u4"), ("returns", RETURN, self.columns * sensor.count)])
 
-    def firing_schedule(self, dual):
+    def firing_schedule(self, mount):
         return FiringSchedule(np.zeros(self.sensor.count, np.int64), 100_000, self.columns, per_azimuth=1)
 
     def encode(self, mount, batch, range_m, reflectivity):
@@ -64,12 +64,10 @@ class ToyDecoder(Decoder):
     """Packets of one source."""
 
     def __init__(self, toy):
-        self.sensor, self.dtype, self.period_ns, self.lost = (
-            toy.sensor,
-            toy.dtype,
-            toy.firing_schedule(False).period_ns,
-            0,
-        )
+        self.sensor = toy.sensor
+        self.dtype = toy.dtype
+        self.period_ns = toy.firing_schedule(None).period_ns
+        self.lost = 0
 
     def time_ns(self, packets, host_ns):
         return packets.view(self.dtype)["returns"]["time_ns"][:, 0, 0]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidarcfg import inputs, report
+from lidarcfg import inputs
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement import checks
 from lidarcfg.placement import return_counts as return_counts_module
@@ -20,7 +20,8 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.return_counts import MissCounter, return_counts
 from lidarcfg.placement.study import load_study
-from lidarcfg.report.words import describe_object
+from lidarcfg.report.describe import describe_object
+from lidarcfg.report.results import evaluation_dict, to_json
 from tests.returns_cases import at_place, box, revolution, simulated, tracer_of
 from tests.studies import study_of
 
@@ -113,7 +114,7 @@ def test_maps_and_rings_add_up(tmp_path):
         rings, seen = shown.rings[name], found.return_counts[name]
         assert rings.detected.sum() == pytest.approx(seen.probability.sum())
         assert rings.places.sum() == len(seen.probability)
-    at = shown.places["crate"]
+    at = shown.detection_maps["crate"]
     assert at.detected.sum() == pytest.approx(found.return_counts["crate"].probability.sum())
     assert at.places.max() == 2
     assert (at.low_m.tolist(), at.high_m.tolist()) == ([-9, -6], [9, 6])
@@ -121,7 +122,7 @@ def test_maps_and_rings_add_up(tmp_path):
     cell = tuple(((place[:2] - at.low_m) / 1.5).astype(int))
     first = found.return_counts["crate"].target.part == found.return_counts["crate"].target.part[0]
     assert at.detected[cell] == pytest.approx(found.return_counts["crate"].probability[first].sum())
-    assert "child" not in shown.places
+    assert "child" not in shown.detection_maps
 
 
 def test_drawn_places_have_an_interval_that_holds_the_rate_of_many(tmp_path):
@@ -179,7 +180,7 @@ def test_results_and_words(tmp_path):
     loaded = study(tmp_path)
     rig = rig_of(loaded)
     found = evaluate(loaded, rig)
-    written = json.loads(report.to_json(report.evaluation_dict(loaded, rig, found)))
+    written = json.loads(to_json(evaluation_dict(loaded, rig, found)))
     assert written["detection"]["crate"] == found.detection["crate"].rate
     assert written["detection_returns"]["crate"]["mean"] == found.detection["crate"].returns.mean
     assert set(written["detection_returns"]) == {"crate", "child"}

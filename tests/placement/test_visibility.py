@@ -253,7 +253,7 @@ def test_points_inside_a_closed_mesh_by_its_convex_parts():
         box_mesh(Box(name="b", reflectivity=0, center_m=at, size_m=(2, 2, 2), yaw_deg=20))
         for at in ((0, 0, 0), (1, 0.5, 0))
     ]
-    mesh = solids.welded(visibility_cases.joined(boxes))
+    mesh = solids.merge_vertices(visibility_cases.join_meshes(boxes))
     assert not len(solids.open_edges(mesh))
     axes = np.linspace(-2, 3, 41), np.linspace(-2, 2, 31), np.linspace(-1.5, 1.5, 21)
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -262,14 +262,25 @@ def test_points_inside_a_closed_mesh_by_its_convex_parts():
     by_hand = np.zeros(len(points), bool)
     for centre in ((0, 0, 0), (1, 0.5, 0)):
         by_hand |= (abs((points - centre) @ into.T) < 1).all(axis=1)
-    assert np.array_equal(solids.inside_points(solids.parts(mesh), points), by_hand)
-    assert np.array_equal(solids.inside(solids.parts(mesh), *axes).ravel(), by_hand)
+    assert np.array_equal(solids.inside_points(solids.connected_components(mesh), points), by_hand)
+    assert np.array_equal(solids.inside_grid(solids.connected_components(mesh), *axes).ravel(), by_hand)
     body = Solid("two", mesh[0].min(axis=0), mesh[0].max(axis=0), mesh)
     assert np.array_equal(body.inside(points), by_hand)
-    assert body.holds(np.array([-0.55, -0.3, -0.9]), np.array([-0.35, 0.3, 0.9]))
-    assert not body.holds(np.array([-0.55, -0.3, -0.9]), np.array([-0.35, 0.3, 1.1]))
-    bowl = solids.welded(lathe(GOBLET, 400, (0.0, 0.0, 0.0)))
+    assert body.contains_box(np.array([-0.55, -0.3, -0.9]), np.array([-0.35, 0.3, 0.9]))
+    assert not body.contains_box(np.array([-0.55, -0.3, -0.9]), np.array([-0.35, 0.3, 1.1]))
+    bowl = solids.merge_vertices(lathe(GOBLET, 400, (0.0, 0.0, 0.0)))
     hollow = np.array([[0, 0, 1.5], [0.5, 0, 1.6], [0, 0, 1.05], [0.65, 0, 1.25], [0.05, 0, 0.5], [0.3, 0, 0.5]])
-    assert solids.inside_points(solids.parts(bowl), hollow).tolist() == [False, False, True, True, True, False]
-    assert solids.holds(solids.parts(bowl), np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 0.6]))
-    assert not solids.holds(solids.parts(bowl), np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 1.6]))
+    assert solids.inside_points(solids.connected_components(bowl), hollow).tolist() == [
+        False,
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]
+    assert solids.contains_box(
+        solids.connected_components(bowl), np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 0.6])
+    )
+    assert not solids.contains_box(
+        solids.connected_components(bowl), np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 1.6])
+    )

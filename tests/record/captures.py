@@ -169,7 +169,7 @@ def _patterns(folder: Path) -> Answers:
         rig = package.rig_of(folder, [{"name": "a", "model": sensor(model), "position_m": [0, 0, 1]}])
         found = package.pattern(rig.mounts[0])
         answers |= named(
-            model, {"laser": found.laser, "lag": found.lag_rad, "decides": found.decides_rad, "step": found.step_rad}
+            model, {"laser": found.laser, "lag": found.lag_rad, "decides": found.gating_rad, "step": found.step_rad}
         )
     return answers
 

@@ -16,7 +16,7 @@ from lidarcfg import (
     pattern,
 )
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export as packets
+from lidarcfg.capture.export import simulated_frames as packets
 from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import view
@@ -34,7 +34,7 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.returns import returns
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.world.motion import Trajectory, load_path, prepared
+from lidarcfg.world.motion import Trajectory, build_path, load_path
 from lidarcfg.world.obstacles import NO_OBSTACLES
 from lidarcfg.world.tracer import Tracer
 from lidarcfg.world.vehicle import load_vehicle
@@ -49,6 +49,7 @@ __all__ = [
     "StudyEvaluator",
     "Tracer",
     "Trajectory",
+    "build_path",
     "concatenate",
     "decode",
     "decode_pcap",
@@ -67,7 +68,6 @@ __all__ = [
     "packets",
     "pattern",
     "pose",
-    "prepared",
     "report_inputs",
     "returns",
     "rig_lidars",

@@ -95,7 +95,7 @@ def _motions(folder: Path) -> Answers:
         answers[f"{path.name} velocity"] = moved.velocity_m_s(time_ns)
     for number, motion in enumerate(scene("block").motions):
         if motion:
-            R, t = package.prepared(motion).at((time_ns - package.START_NS) / 1e9)
+            R, t = package.build_path(motion).at((time_ns - package.START_NS) / 1e9)
             answers |= named(f"object {number}", {"R": R, "t": t})
     return answers
 
@@ -114,7 +114,7 @@ def _insides(folder: Path) -> Answers:
         vertices = one.scene.mesh()[0]
         points[:1000, 1:] = vertices[np.arange(1000) % len(vertices)][:, 1:]
         answers[f"{name} depth"] = one.depth_m(points)
-        answers[f"{name} around"] = np.array([one.around(point) is not None for point in points[:300]])
+        answers[f"{name} around"] = np.array([one.body_at(point) is not None for point in points[:300]])
     return answers
 
 

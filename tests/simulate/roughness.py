@@ -12,7 +12,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from lidarcfg.capture.decode import Capture, Recorded
+from lidarcfg.capture.reader import CaptureReader, Recording
 from lidarcfg.geometry import Array, directions
 from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.families import codec
@@ -97,7 +97,7 @@ def shots(sensor: Sensor, found: Measurements) -> Shots:
     )
 
 
-def measurements(one: Recorded) -> Measurements:
+def measurements(one: Recording) -> Measurements:
     """Of the packets of the return mode that most of a source's are of."""
     maker = codec(one.sensor)
     modes = maker.return_modes(one.source, one.packets)
@@ -107,7 +107,7 @@ def measurements(one: Recorded) -> Measurements:
 
 def read(path: Path, model: str | None) -> dict[str, Shots]:
     """The sources of a capture, called as the file or, if there are more, as the file and the source."""
-    sources = Capture(path, lambda warning: None, model=model).sources()
+    sources = CaptureReader(path, lambda warning: None, model=model).recordings()
     return {
         path.stem if len(sources) == 1 else f"{path.stem} {one.name.removesuffix(':2368')}": shots(
             one.sensor, measurements(one)

@@ -10,9 +10,8 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate import simulator
 from lidarcfg.simulate.echoes import Echoes, SubRays
-from lidarcfg.simulate.tasks import Drive, prepared
-from lidarcfg.world.motion import Arc, Motion, Trajectory
-from lidarcfg.world.motion import prepared as prepared_path
+from lidarcfg.simulate.tasks import Drive, build_tasks
+from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.vehicle import load_vehicle
 from tests.capture_fixtures import AT_NS, STREET, mount, scene
@@ -27,7 +26,7 @@ boxes:
   - {name: wall, center_m: [0, 12, 2], size_m: [30, 1, 4], reflectivity: 50}
 planes: [{name: sheet, center_m: [-7, 0, 1], size_m: [3, 3], rpy_deg: [10, 70, 20], reflectivity: 50}]
 """
-DRIVE = Trajectory(np.eye(4), prepared_path(Motion(arc=Arc(speed_m_s=12, yaw_rate_deg_s=30))), AT_NS)
+DRIVE = Trajectory(np.eye(4), build_path(Motion(arc=Arc(speed_m_s=12, yaw_rate_deg_s=30))), AT_NS)
 
 
 def shards(tmp_path, triangles=4000):
@@ -72,7 +71,7 @@ def one_by_one(world, bodies, surfaces, lasers, mounting, fired, zero_ns, limit_
 def hit_by(trace, stage, vehicle, divergence, monkeypatch):
     """What the rays of two revolutions of wide beams hit, as a function traces them."""
     wide = replace(mount(0, (0.3, 0.5, 2.2), (4.0, 3.0, 20.0)), realism=Realism(divergence=divergence))
-    (task,) = prepared(Drive(Rig("one", (wide,)), stage, DRIVE, vehicle, AT_NS, 200_000_000), 10**9)
+    (task,) = build_tasks(Drive(Rig("one", (wide,)), stage, DRIVE, vehicle, AT_NS, 200_000_000), 10**9)
     traced = []
 
     class Spy:

@@ -6,7 +6,15 @@ from scipy import stats
 
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.sensor import load_sensor
-from lidarcfg.simulate.echoes import CANDIDATES, REPORTED, SubRays, beam, echoes, extinction_per_m, single
+from lidarcfg.simulate.echoes import (
+    CANDIDATES,
+    REPORTED,
+    SubRays,
+    beam_rays,
+    extinction_per_m,
+    thin_beam_echoes,
+    wide_beam_echoes,
+)
 from lidarcfg.simulate.noise import add_noise, apply_dropout
 from lidarcfg.simulate.random_numbers import uniforms
 from lidarcfg.world.scene_file import Weather
@@ -29,7 +37,7 @@ def made(
         np.arange(len(range_m), dtype=np.uint8) % 2,
     )
     realism = Realism(**realism)
-    found = echoes(VLP16, realism, weather or Weather(), 0, first, np.array(weights), hits, which)
+    found = wide_beam_echoes(VLP16, realism, weather or Weather(), 0, first, np.array(weights), hits, which)
     apply_dropout(found, realism, 0, first)
     add_noise(found, realism, 0, first)
     return found
@@ -147,17 +155,17 @@ def test_no_hit_is_no_echo():
 
 def test_a_wide_beam():
     """Nine rays whose light has the beam's variance: a sixteenth of the squared full angle at 1/e²."""
-    across, above, weights = beam(VLP16, Realism(divergence=True))
+    across, above, weights = beam_rays(VLP16, Realism(divergence=True))
     assert len(across) == len(above) == len(weights) == 9
     assert len(set(zip(across, above, strict=True))) == 9
     assert weights.sum() == pytest.approx(1)
     assert above**2 @ weights == pytest.approx((1.5e-3 / 4) ** 2)
     assert across**2 @ weights == pytest.approx((3e-3 / 4) ** 2)
-    assert [values.tolist() for values in beam(VLP16, Realism())] == [[0], [0], [1]]
+    assert [values.tolist() for values in beam_rays(VLP16, Realism())] == [[0], [0], [1]]
 
 
 def test_thin_exact_beams_have_one_echo():
-    found = single(np.array([[7.0]]), np.array([[3]], np.uint8), np.array([[1]], np.int32), "dual")
+    found = thin_beam_echoes(np.array([[7.0]]), np.array([[3]], np.uint8), np.array([[1]], np.int32), "dual")
     assert found.range_m.tolist() == [[7, 7]]
     assert found.noise_m.tolist() == [[0, 0]]
 

@@ -13,7 +13,7 @@ from lidarcfg.packets.families import pattern
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.simulate.returns import PHASES, Poses, Target, compiled, returns, scanner
 from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
-from lidarcfg.world.tracer import bvh
+from lidarcfg.world.tracer import build_bvh
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box, lidars, mount, revolution, scene_with, simulated, tracer_of
 
@@ -36,7 +36,7 @@ MOUNTS = (
 def obstacles(mesh):
     """A mesh in the way, relative to a point that is not the origin."""
     point = np.array([3.0, -2.0, 1.0])
-    return Obstacles.of(bvh(scene_with([mesh]), np.array([True]), point), point)
+    return Obstacles.of(build_bvh(scene_with([mesh]), np.array([True]), point), point)
 
 
 def places(rng, count, size_m, far_m=30.0):

@@ -9,11 +9,11 @@ import pytest
 from lidarcfg.core import simulate
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose
-from lidarcfg.packets.codec import Firings
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.simulator import Simulator
-from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, prepared
+from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import mount, scene
 from tests.naive import rays as naive
@@ -42,7 +42,7 @@ def fired(rng, lasers, count):
 
 def simulator(tmp_path, sensor, motion, text=ROOM, **mounted):
     one = replace(mount(), name="a", sensor=sensor, position_m=(0.3, -1.0, 2.0), rpy_rad=(0.2, 0.1, -0.4), **mounted)
-    trajectory = Trajectory(pose((1_000_003, -2, 1), (0.1, -0.2, 1)), prepared(motion), START_NS)
+    trajectory = Trajectory(pose((1_000_003, -2, 1), (0.1, -0.2, 1)), build_path(motion), START_NS)
     return Simulator(0, one, Tracer(scene(tmp_path, text), trajectory.T_world_start[:3, 3], START_NS), trajectory)
 
 
@@ -54,7 +54,7 @@ def test_rays_are_where_poses_and_angles_say(tmp_path, motion, name):
     one = simulator(tmp_path, sensor, motion)
     echoes, counts = one.echoes(firings, 0)
     assert counts.rays == 3000
-    trajectory = Trajectory(pose((1_000_003, -2, 1), (0.1, -0.2, 1)), prepared(motion), START_NS)
+    trajectory = Trajectory(pose((1_000_003, -2, 1), (0.1, -0.2, 1)), build_path(motion), START_NS)
     T_vehicle_sensor = pose((0.3, -1.0, 2.0), (0.2, 0.1, -0.4))
     for n in range(3000):
         k = firings.laser[n]

@@ -7,7 +7,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation, transform
@@ -15,7 +15,7 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
 from lidarcfg.simulate.tasks import START_NS, object_names
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import STANDING, Arc, Motion, TimedPose, Trajectory, prepared
+from lidarcfg.world.motion import STATIC, Arc, Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.vehicle import VehicleFile, load_vehicle, rig_vehicle, vehicle
 from tests.capture_fixtures import mount, scene
 from tests.command_line import lidarcfg
@@ -33,7 +33,7 @@ RIG = Rig(
     "mast and mirror", (mount(0, (-0.3, 0.3, 2.4), (-4.0, 20.0, 15.0)), mount(1, (0.8, 1.3, 1.0), (2.0, -3.0, 0.0)))
 )
 MOTIONS = {
-    "standing": STANDING,
+    "standing": STATIC,
     "straight": Motion(velocity_m_s=(15.0, 1.0, 0.0)),
     "arc": Motion(arc=Arc(speed_m_s=14, yaw_rate_deg_s=50)),
     "poses": Motion(
@@ -53,7 +53,7 @@ def sedan():
 def truth(rig, world, trajectory, duration_ns, bodies):
     """The records of an export."""
     found = []
-    for stream in export(rig, world, trajectory, duration_ns, on_truth=found.append, vehicle=bodies):
+    for stream in simulated_frames(rig, world, trajectory, duration_ns, on_truth=found.append, vehicle=bodies):
         list(stream)
     return np.concatenate(found)
 
@@ -84,7 +84,7 @@ def rays_of(records, rig, trajectory):
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_returns_of_the_body_are_where_open3d_casts_them(tmp_path, sedan, motion):
     """Of 300 records a sensor, ray by ray with the body at that ray's time: object and range of those on the body."""
-    world, trajectory = scene(tmp_path, WORLD), Trajectory(T_WORLD_START, prepared(MOTIONS[motion]), START_NS)
+    world, trajectory = scene(tmp_path, WORLD), Trajectory(T_WORLD_START, build_path(MOTIONS[motion]), START_NS)
     names = object_names(world, sedan)
     assert names == ("ground", "house", "ball", "vehicle/body")
     records = truth(RIG, world, trajectory, 2 * 10**8, sedan)
@@ -103,7 +103,7 @@ def test_returns_of_the_body_are_where_open3d_casts_them(tmp_path, sedan, motion
 
 def test_the_body_only_takes_returns_away_or_puts_its_own_in_their_place(tmp_path, sedan):
     """What is seen with the body is, firing by firing, what is seen without it, or the body, nearer than that."""
-    world, trajectory = scene(tmp_path, WORLD), Trajectory(T_WORLD_START, prepared(MOTIONS["arc"]), START_NS)
+    world, trajectory = scene(tmp_path, WORLD), Trajectory(T_WORLD_START, build_path(MOTIONS["arc"]), START_NS)
     firing = ["sensor", "time_ns", "laser"]
     without, seen = (truth(RIG, world, trajectory, 10**8, body) for body in (None, sedan))
     before = {tuple(row[firing]): row for row in without}
@@ -127,7 +127,7 @@ def test_the_bytes_without_a_body_stay_the_same(tmp_path, sedan):
         captures = []
         for body in (None, below, sedan):
             path = tmp_path / "capture.pcap"
-            write_pcap(path, in_time_order(export(rig, world, T_WORLD_START, 10**8, vehicle=body)))
+            write_pcap(path, in_time_order(simulated_frames(rig, world, T_WORLD_START, 10**8, vehicle=body)))
             captures.append(path.read_bytes())
         assert captures[0] == captures[1]
         assert captures[0] != captures[2]
@@ -136,7 +136,7 @@ def test_the_bytes_without_a_body_stay_the_same(tmp_path, sedan):
 
 def test_wide_beams_return_from_the_body_and_from_behind_it(tmp_path, sedan):
     """Mixed beams at its edges: the same objects as thin ones nearly everywhere, and the body's cosine in the power."""
-    world, trajectory = scene(tmp_path, WORLD), Trajectory(T_WORLD_START, prepared(STANDING), START_NS)
+    world, trajectory = scene(tmp_path, WORLD), Trajectory(T_WORLD_START, build_path(STATIC), START_NS)
     wide = replace(RIG, mounts=tuple(replace(one, realism=Realism(divergence=True)) for one in RIG.mounts))
     thin, found = (truth(rig, world, trajectory, 10**8, sedan) for rig in (RIG, wide))
     own = thin["object"] == 3
@@ -157,7 +157,7 @@ def test_a_round_body_is_hit_exactly_wherever_the_vehicle_leans(tmp_path):
     records = truth(
         rig,
         scene(tmp_path, "ground: {z_m: -40, reflectivity: 5}"),
-        Trajectory(T, prepared(STANDING), START_NS),
+        Trajectory(T, build_path(STATIC), START_NS),
         10**8,
         bodies,
     )
@@ -229,6 +229,6 @@ def test_a_sensor_inside_the_body_is_an_error(tmp_path, sedan):
     with pytest.raises(
         ConfigError, match=r"^lidar_1 is inside the vehicle's 'body'; move it, or set allow_inside: true$"
     ):
-        export(inside, scene(tmp_path, WORLD), T_WORLD_START, SECOND_NS, vehicle=sedan)
+        simulated_frames(inside, scene(tmp_path, WORLD), T_WORLD_START, SECOND_NS, vehicle=sedan)
     allowed = replace(sedan, allow_inside=True)
-    assert len(export(inside, scene(tmp_path, WORLD), T_WORLD_START, SECOND_NS, vehicle=allowed)) == 2
+    assert len(simulated_frames(inside, scene(tmp_path, WORLD), T_WORLD_START, SECOND_NS, vehicle=allowed)) == 2

@@ -7,7 +7,7 @@ import pytest
 import velodyne_decoder as vd
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.config.models import Section
@@ -16,7 +16,7 @@ from lidarcfg.geometry import pose, rotation
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, load_motion, load_path, prepared, timed
+from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, build_path, load_motion, load_path
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import datagrams_of, mount, no_warning, scene, tilted_rig
 
@@ -24,12 +24,12 @@ STAND = np.eye(4)
 
 
 def drive(motion, T_world_start=STAND, zero_ns=START_NS):
-    return Trajectory(T_world_start, prepared(motion), zero_ns)
+    return Trajectory(T_world_start, build_path(motion), zero_ns)
 
 
 @pytest.mark.parametrize("rate", [30.0, -200.0, 1e-9, 0.0])
 def test_an_arc_is_what_small_steps_add_up_to(rate):
-    trajectory = prepared(Motion(arc=Arc(speed_m_s=7, yaw_rate_deg_s=rate, heading_deg=20)))
+    trajectory = build_path(Motion(arc=Arc(speed_m_s=7, yaw_rate_deg_s=rate, heading_deg=20)))
     x, y, steps = 0.0, 0.0, 20_000
     for n in range(steps):  # midpoint rule over two seconds
         heading = np.radians(20 + rate * (n + 0.5) * 2 / steps)
@@ -49,7 +49,7 @@ def test_between_timed_poses():
         TimedPose(time_s=4, position_m=(3, 6, -9), quaternion_xyzw=quarter),
         TimedPose(time_s=5, position_m=(3, 6, -9), rpy_deg=(10, 20, 30)),
     )
-    trajectory = prepared(Motion(poses=poses))
+    trajectory = build_path(Motion(poses=poses))
     R, t = trajectory.at(np.array([2.0, 5.0]))
     np.testing.assert_allclose(t, [[1, 2, -3], [3, 6, -9]], atol=1e-12)
     np.testing.assert_allclose(np.trace(R[0]), 1 + 2 * np.cos(np.pi / 6))
@@ -65,7 +65,7 @@ def test_files(tmp_path):
     (tmp_path / "a.yaml").write_text(
         "poses: [{time_s: 0, position_m: [1, 2, 3]}, {time_s: 2.5, position_m: [4, 5, 6], rpy_deg: [0, 0, 180]}]"
     )
-    lines, yaml = (prepared(load_motion(tmp_path / f"a.{suffix}")).at(np.array([2.5])) for suffix in ("tum", "yaml"))
+    lines, yaml = (build_path(load_motion(tmp_path / f"a.{suffix}")).at(np.array([2.5])) for suffix in ("tum", "yaml"))
     np.testing.assert_allclose(lines[0], yaml[0], atol=1e-12)
     np.testing.assert_allclose(lines[1], yaml[1])
 
@@ -94,7 +94,7 @@ def test_what_is_refused(tmp_path, name, text, match):
 
 
 def captured(tmp_path, rig, stage, trajectory, duration_ns=SECOND_NS // 4, **options):
-    write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, stage, trajectory, duration_ns, **options)))
+    write_pcap(tmp_path / "a.pcap", in_time_order(simulated_frames(rig, stage, trajectory, duration_ns, **options)))
     return concatenate(list(decode_pcap(tmp_path / "a.pcap", no_warning, rig)))
 
 
@@ -166,12 +166,12 @@ def test_a_trajectory_that_ends_too_soon(tmp_path):
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
     poses = tuple(TimedPose(time_s=t, position_m=(t, 0, 0)) for t in (0.0, 0.5))
     with pytest.raises(ConfigError, match=r"a pose is needed at 0 to 1 s; the timed poses cover 0 to 0\.5 s"):
-        export(Rig("one", (mount(),)), stage, drive(Motion(poses=poses)), SECOND_NS)
+        simulated_frames(Rig("one", (mount(),)), stage, drive(Motion(poses=poses)), SECOND_NS)
     moving = "spheres: [{name: s, center_m: [0, 9, 0], radius_m: 2, reflectivity: 9, motion: {poses: [{time_s: 0, position_m: [0, 0, 0]}, {time_s: 0.5, position_m: [0, 0, 0]}]}}]"
     with pytest.raises(ConfigError, match="s: a pose is needed"):
-        export(Rig("one", (mount(),)), scene(tmp_path, moving), STAND, SECOND_NS)
+        simulated_frames(Rig("one", (mount(),)), scene(tmp_path, moving), STAND, SECOND_NS)
     with pytest.raises(ConfigError, match="the vehicle may get 2e"):
-        export(Rig("one", (mount(),)), stage, drive(Motion(velocity_m_s=(1e5, 0, 0))), 20_000 * SECOND_NS)
+        simulated_frames(Rig("one", (mount(),)), stage, drive(Motion(velocity_m_s=(1e5, 0, 0))), 20_000 * SECOND_NS)
 
 
 @pytest.mark.parametrize(("rate_hz", "begins_s"), [(1, 0.0), (5, 0.0), (1, 0.7)])
@@ -184,7 +184,7 @@ def test_position_packets_hold_the_last_fix(tmp_path, rate_hz, begins_s):
     begins_ns = START_NS + round(begins_s * SECOND_NS)
     trajectory = drive(Motion(velocity_m_s=(10.0, 0.0, 0.0)), pose((0, 0, 0), (0, 0, np.radians(45))), begins_ns)
     one = replace(mount(), settings=Section({"fix_rate_hz": rate_hz}))
-    streams = export(Rig("one", (one,)), stage, trajectory, 5 * SECOND_NS // 4, begins_ns)
+    streams = simulated_frames(Rig("one", (one,)), stage, trajectory, 5 * SECOND_NS // 4, begins_ns)
     write_pcap(tmp_path / "a.pcap", streams[0])
     sent = [d for d in datagrams_of(tmp_path / "a.pcap") if d.port == 8308]
     assert len(sent) == 184  # 147 a second
@@ -215,7 +215,7 @@ def test_between_poses_scipy_agrees():
         TimedPose(time_s=t, position_m=tuple(p), quaternion_xyzw=tuple(q))
         for t, p, q in zip(times.tolist(), places.tolist(), turns.as_quat().tolist(), strict=True)
     )
-    path = prepared(Motion(poses=poses))
+    path = build_path(Motion(poses=poses))
     asked = np.concatenate([rng.uniform(times[0], times[-1], 1000), times])
     R, t = path.at(asked)
     np.testing.assert_allclose(R, Slerp(times, turns)(asked).as_matrix(), atol=1e-13)
@@ -231,7 +231,7 @@ def test_a_trajectory_through_arrays_of_poses_is_that_of_their_keys():
         TimedPose(time_s=t, position_m=at, rpy_deg=tuple(np.degrees(rpy)))
         for t, (at, rpy) in zip(seconds, keys, strict=True)
     )
-    made, known = timed(seconds, T, 10**9), prepared(Motion(poses=poses))
+    made, known = Trajectory.from_poses(seconds, T, 10**9), build_path(Motion(poses=poses))
     asked = np.linspace(-0.5, 2.0, 31)
     for one, other in zip(made.path.at(asked), known.at(asked), strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
@@ -243,7 +243,7 @@ def test_a_trajectory_through_arrays_of_poses_is_that_of_their_keys():
         (seconds, bent, "pose 1 is no rotation"), (seconds, -T, "pose 0 is no rotation"),
     ):  # fmt: skip
         with pytest.raises(ConfigError, match=what):
-            timed(times, places, 0)
+            Trajectory.from_poses(times, places, 0)
 
 
 def test_a_path_of_timed_lines_is_that_of_their_poses(tmp_path):
@@ -255,7 +255,7 @@ def test_a_path_of_timed_lines_is_that_of_their_poses(tmp_path):
     lines = [" ".join(map(repr, row)) for row in rows.tolist()]
     for text in ("# a\n\n" + "\n".join(lines), "\n".join(lines) + "\n1_000 0 0 0 0 0 0 1"):
         (tmp_path / "a.tum").write_text(text)
-        at_once, singly = load_path(tmp_path / "a.tum"), prepared(load_motion(tmp_path / "a.tum"))
+        at_once, singly = load_path(tmp_path / "a.tum"), build_path(load_motion(tmp_path / "a.tum"))
         for name in ("times_s", "positions_m", "rotations", "rotation_vectors_rad"):
             assert np.array_equal(getattr(at_once, name), getattr(singly, name)), name
         seconds = np.linspace(0, 19.9, 77)

@@ -13,7 +13,7 @@ from lidarcfg import inputs
 from lidarcfg.clouds.cloud import save_clouds
 from lidarcfg.clouds.las import save_las
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.world.gltf_models import read_parts
+from lidarcfg.world.gltf_models import read_nodes
 from lidarcfg.world.height_field import read_heights
 from lidarcfg.world.surfels import CORNER, read_points
 from lidarcfg.world.tracer import Tracer
@@ -421,7 +421,7 @@ def test_damaged_files_are_used_or_refused_in_one_line(tmp_path, suffix):
         Image.fromarray(heights).save(whole) if suffix == "png" else np.save(whole, heights)
     else:
         (save_las if suffix in ("las", "laz") else lambda path, one: save_clouds(path, [one]))(whole, made)
-    read = {"png": read_heights, "npy": read_heights, "glb": read_parts}.get(suffix, read_points)
+    read = {"png": read_heights, "npy": read_heights, "glb": read_nodes}.get(suffix, read_points)
     refused = []
     for _ in range(50):
         data = bytearray(whole.read_bytes())

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 import pytest
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_array, csgraph
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, transform
-from lidarcfg.world.solids import open_edges, parts, welded
+from lidarcfg.world.solids import connected_components, merge_vertices, open_edges
 from lidarcfg.world.vehicle import load_vehicle
 from tests.command_line import lidarcfg
 
@@ -110,7 +109,7 @@ def test_the_nodes_of_a_gltf_are_each_in_their_place(tmp_path):
     expected = np.unique(np.concatenate([transform(turn, one) for one in local]).round(4), axis=0)
     np.testing.assert_allclose(np.unique(vertices[np.unique(triangles)].round(4), axis=0), expected, atol=2e-4)
     assert len(triangles) == 12
-    assert len(parts((vertices, triangles))) == 3
+    assert len(connected_components((vertices, triangles))) == 3
 
 
 def strip(vertices):
@@ -131,8 +130,8 @@ def strip(vertices):
 def test_parts_are_the_components_of_the_graph_by_scipy(triangles):
     (a, b, c), size = triangles.T, triangles.max(initial=0) + 1
     graph = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(size, size))
-    part = connected_components(graph, directed=False)[1][a]
-    found = [corners for _, corners in parts((np.zeros((size, 3)), triangles))]
+    part = csgraph.connected_components(graph, directed=False)[1][a]
+    found = [corners for _, corners in connected_components((np.zeros((size, 3)), triangles))]
     expected = [triangles[part == number] for number in np.unique(part)]
     assert len(found) == len(expected)
     assert all(np.array_equal(one, other) for one, other in zip(found, expected, strict=True))
@@ -229,8 +228,8 @@ def test_a_million_triangles_are_read_and_said(tmp_path):
     found = load_vehicle(save(sphere, tmp_path / "body.ply"))
     (message,) = found.warnings
     assert "the vehicle has 1,002,000 triangles; reading them took " in message
-    assert found.around(np.array([0.0, 1.0, 0.5])) == "body"
-    assert found.around(np.array([0.0, 1.5, 0.5])) is None
+    assert found.body_at(np.array([0.0, 1.0, 0.5])) == "body"
+    assert found.body_at(np.array([0.0, 1.5, 0.5])) is None
 
 
 def test_welding_and_open_edges_are_those_of_numpy():
@@ -240,7 +239,7 @@ def test_welding_and_open_edges_are_those_of_numpy():
     vertices[::7] = np.nextafter(vertices[::7], 9)
     vertices[::11] *= -0.0
     triangles = rng.integers(0, 400, (900, 3))
-    places, corners = welded((vertices, triangles))
+    places, corners = merge_vertices((vertices, triangles))
     assert len(places) == len(np.unique(vertices + 0.0, axis=0))
     whole = [row for row in vertices[triangles] + 0.0 if len(np.unique(row, axis=0)) == 3]
     assert (places[corners] == whole).all()

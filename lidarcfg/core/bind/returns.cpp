@@ -152,6 +152,7 @@ void bind_counter(nb::module_& module) {
       },
       "In how many of those places of a group that are the likeliest to be missed the object is.", "sensors", "R", "t",
       "group", "count");
+  counter.def_prop_ro("memory_bytes", &ReturnCounter::memory_bytes);
   counter.def_prop_ro("traced", &ReturnCounter::traced);
 }
 
@@ -210,6 +211,20 @@ void bind_returns(nb::module_& module) {
       },
       "The points of the largest cluster of returns, in the worst case.", "places", "which", "scanners", "R", "t",
       "target", "obstacles", "tolerance_m", "above_m", "lost", "sensors", "joint", "cap", "counts", "phases");
+  def(
+      module, "largest_cluster",
+      [](Rows<const double> points, double tolerance_m, double above_m) {
+        require(points.columns() == 3, "points: three columns");
+        require(tolerance_m > 0, "tolerance_m: not above 0");
+        placement::Clusters clusters({tolerance_m, above_m});
+        std::vector<Vec3> all;
+        for (Index n = 0; n < points.rows(); ++n) {
+          all.push_back({points(n, 0), points(n, 1), points(n, 2)});
+        }
+        clusters.add(all);
+        return clusters.largest();
+      },
+      "The points of the largest cluster with one that is high enough.", "points", "tolerance_m", "above_m");
   def(
       module, "detection_probabilities",
       [](Tables<const std::int32_t> counts, View<const std::int64_t> phases, Index enough) {

@@ -11,37 +11,27 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import (
-    Batch,
-    Decoder,
-    DecodeStatistics,
-    Firings,
-    Flags,
-    Measurements,
-    Octets,
-    Returns,
-    Times,
-)
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns
 from lidarcfg.packets.hesai.layout import (
     HEADER,
     MODES,
     RETURN_MODE_CODES,
     START,
     Packets,
+    bytes_of,
     device_time_ns,
     encoder_rad,
     is_dual,
-    octets_of,
 )
 from lidarcfg.packets.hesai.model import Unit
+from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST, Batch, Firings
 from lidarcfg.sensors.rig import SINGLE
 
 PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
 LASERS = {16, 32, 40, 64, 128}
 SEQUENCES = 1 << 32
 SLACK = 8  # lost packets beyond those that fit the elapsed time; with more, the sensor was restarted
-STRONGEST, LAST, FIRST = 0, 1, 3  # types of returns, as `Returns` has them
 BY_BLOCK = 254  # which of a pair is the strongest, its block tells
 SINGLE_KINDS = {0x33: FIRST, 0x37: STRONGEST, 0x38: LAST}
 PAIR_KINDS = {  # the nearer return, the farther
@@ -55,12 +45,12 @@ PAIR_KINDS = {  # the nearer return, the farther
 class PacketFields(NamedTuple):
     """What P packets say beside their blocks."""
 
-    unit_mm: Octets  # (P,) of distances
+    unit_mm: Bytes  # (P,) of distances
     stamp_ns: Times  # (P,)
     dual: Flags  # (P,) whether neighbouring blocks hold two returns of the same firings
-    loop: Octets  # (P,) with dual returns: which lasers fire
-    near: Octets  # (P,) the type of a pair's nearer return, or of single returns
-    far: Octets  # (P,) the type of a pair's farther return
+    loop: Bytes  # (P,) with dual returns: which lasers fire
+    near: Bytes  # (P,) the type of a pair's nearer return, or of single returns
+    far: Bytes  # (P,) the type of a pair's farther return
 
 
 class Lasers(NamedTuple):
@@ -70,7 +60,7 @@ class Lasers(NamedTuple):
     sin_elevation: Array
     cos_offset: Array  # of the azimuth offset
     sin_offset: Array
-    ring: Octets
+    ring: Bytes
     offset_ns: Times  # (loops, L)
     group_ns: Times  # (B,) single: when each block starts, after the stamp
     pair_ns: Times  # (B / 2,) dual: when each pair starts
@@ -80,39 +70,34 @@ class HesaiDecoder(Decoder):
     """Decodes the packets of one Hesai sensor."""
 
     def __init__(self, where: str, unit: Unit) -> None:
-        self._where, self._unit, self._counter = where, unit, PacketLossCounter(unit)
+        self._where = where
+        self._unit = unit
+        self._counter = PacketLossCounter(unit)
         self.period_ns = unit.period_ns()
 
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
-        """See `Decoder`."""
+    def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         return device_time_ns(self._unit.packets_of(packets))
 
-    def heading_rad(self, packets: Octets) -> Array:
-        """See `Decoder`."""
+    def heading_rad(self, packets: Bytes) -> Array:
         return encoder_rad(self._unit.packets_of(packets)["blocks"]["azimuth"][:, 0])
 
-    def check(self, packets: Octets) -> None:
-        """See `Decoder`."""
+    def check(self, packets: Bytes) -> None:
         try:
             check(self._unit, self._unit.packets_of(packets))
         except PacketError as error:
             raise PacketError(f"{self._where}: {error}") from None
 
-    def sound(self, packets: Octets) -> Flags:
-        """See `Decoder`."""
+    def sound(self, packets: Bytes) -> Flags:
         wrong = [wrong for wrong, _, _ in _mistakes(self._unit, self._unit.packets_of(packets))]
         return np.asarray(~np.logical_or.reduce(wrong))
 
-    def count(self, packets: Octets, wanted: Flags) -> None:
-        """See `Decoder`."""
+    def count(self, packets: Bytes, wanted: Flags) -> None:
         self._counter.add(self._unit.packets_of(packets), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        """See `Decoder`."""
         return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False)
 
 
@@ -125,12 +110,13 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
     check(unit, packets)
     wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
     modes = packets["tail"]["return_mode"]
-    near, far = np.zeros(256, np.uint8), np.zeros(256, np.uint8)
+    near = np.zeros(256, np.uint8)
+    far = np.zeros(256, np.uint8)
     for mode, kind in SINGLE_KINDS.items():
         near[mode] = kind
     for mode, pair in PAIR_KINDS.items():
         near[mode], far[mode] = pair
-    loop: Octets = np.zeros(len(packets), np.uint8)
+    loop: Bytes = np.zeros(len(packets), np.uint8)
     if len(unit.facts.firing.loops) > 1:
         loop = (1 - (packets["mode_flag"] & 1)).astype(np.uint8)
     fields = PacketFields(
@@ -141,22 +127,23 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         near=near[modes],
         far=far[modes],
     )
-    octets = octets_of(packets)
+    data = bytes_of(packets)
     decoder = _decoder(unit)
-    out = Returns.room(decoder.count(octets, wanted), polar)
-    return out.first(decoder.decode(octets, wanted, fields, out))
+    out = Returns.allocate(decoder.count(data, wanted), polar)
+    return out.first(decoder.decode(data, wanted, fields, out))
 
 
 def check(unit: Unit, packets: Packets) -> None:
     """Raises PacketError for packets that are not this model's, or are invalid."""
-    for wrong, said, describe in _mistakes(unit, packets):
+    for wrong, value, describe in _mistakes(unit, packets):
         if wrong.any():
-            raise PacketError(describe(int(said[wrong][0])))
+            raise PacketError(describe(int(value[wrong][0])))
 
 
 def _mistakes(unit: Unit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.integer], Callable[[int], str]]]:
     """For each kind of mistake: which packets (P,) have it, their values, and a sentence about it."""
-    header, name = packets["header"], unit.name
+    header = packets["header"]
+    name = unit.name
     major, minor = map(int, unit.facts.packet.protocol.split("."))
     for key, right in (
         ("major", major),
@@ -167,12 +154,12 @@ def _mistakes(unit: Unit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.
         yield header[key] != right, header[key], partial(_other, name, key, right)
     mode = packets["tail"]["return_mode"]
     allowed = ", ".join(f"0x{code:02X} {name}" for code, name in MODES.items())
-    yield ~np.isin(mode, list(MODES)), mode, lambda said: f"{name}: return mode 0x{said:02X}; read are {allowed}"
-    yield header["unit_mm"] == 0, header["unit_mm"], lambda said: f"{name}: a distance unit of {said} mm"
+    yield ~np.isin(mode, list(MODES)), mode, lambda value: f"{name}: return mode 0x{value:02X}; read are {allowed}"
+    yield header["unit_mm"] == 0, header["unit_mm"], lambda value: f"{name}: a distance unit of {value} mm"
 
 
-def _other(name: str, key: str, right: int, said: int) -> str:
-    return f"not a packet of {name}: {key} {said}; allowed: {right}"
+def _other(name: str, key: str, right: int, value: int) -> str:
+    return f"not a packet of {name}: {key} {value}; allowed: {right}"
 
 
 @lru_cache
@@ -191,18 +178,18 @@ def _decoder(unit: Unit) -> core.HesaiDecoder:
     return core.HesaiDecoder(lasers)
 
 
-def return_modes(unit: Unit, octets: Octets) -> Times:
+def return_modes(unit: Unit, data: Bytes) -> Times:
     """(P,) what packets (P, size) say of their mode, and of the unit of their distances."""
-    packets = unit.packets_of(octets)
+    packets = unit.packets_of(data)
     return np.asarray(packets["tail"]["return_mode"].astype(np.int64) << 8 | packets["header"]["unit_mm"])
 
 
-def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
+def measurements(unit: Unit, data: Bytes, host_ns: Times) -> Measurements:
     """All firings of packets (P, size) of one return mode: see `Codec.measurements`. Raises PacketError.
 
     Blocks are taken to hold the returns that the sensor's file says, as later firmware sends them.
     """
-    packets = unit.packets_of(octets)
+    packets = unit.packets_of(data)
     code = int(packets["tail"]["return_mode"][0])
     modes = {RETURN_MODE_CODES[name]: name for name in (*SINGLE, *(pair.mode for pair in unit.facts.packet.pairs))}
     mode = modes.get(code)
@@ -240,7 +227,8 @@ class PacketLossCounter:
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
         self._modes: set[str] = set()
-        self._speeds, self._packets = 0, 0
+        self._speeds = 0
+        self._packets = 0
         self.lost = 0  # packets, by the gaps of the UDP sequence
 
     def add(self, packets: Packets, wanted: Flags) -> None:
@@ -274,7 +262,7 @@ def matches(size: int, payload: bytes) -> bool:
     return (int(header["major"]), int(header["minor"])) in PROTOCOLS and int(header["lasers"]) in LASERS
 
 
-def identify(where: str, packets: Octets, known: Sequence[Unit]) -> Unit:
+def identify(where: str, packets: Bytes, known: Sequence[Unit]) -> Unit:
     """Which of the known sensors sends these packets (P, size). Raises PacketError, which begins with `where`."""
     headers, counts = np.unique(packets[:, : HEADER.itemsize], axis=0, return_counts=True)
     header = headers[counts.argmax()].view(HEADER)[0]  # the most frequent header: a packet may be damaged
@@ -282,8 +270,8 @@ def identify(where: str, packets: Octets, known: Sequence[Unit]) -> Unit:
     size = packets.shape[1]
     for unit in known:
         facts = unit.facts.packet
-        said = (protocol, int(header["lasers"]), int(header["blocks"]), size)
-        if said == (facts.protocol, unit.count, facts.blocks, unit.dtype.itemsize):
+        layout = (protocol, int(header["lasers"]), int(header["blocks"]), size)
+        if layout == (facts.protocol, unit.count, facts.blocks, unit.dtype.itemsize):
             return unit
     names = ", ".join(
         f"{unit.name} ({unit.facts.packet.protocol}, {unit.count}, {unit.facts.packet.blocks}, {unit.dtype.itemsize})"
@@ -293,7 +281,7 @@ def identify(where: str, packets: Octets, known: Sequence[Unit]) -> Unit:
     raise PacketError(f"{where} sends Hesai's {what}; read are {names}")
 
 
-def check_size(where: str, unit: Unit, packets: Octets) -> None:
+def check_size(where: str, unit: Unit, packets: Bytes) -> None:
     """Raises PacketError unless the packets (P, size) are as long as this sensor's."""
     if packets.shape[1] != unit.dtype.itemsize:
         raise PacketError(f"{where} sends {packets.shape[1]} bytes; {unit.name} would send {unit.dtype.itemsize}")

@@ -1,12 +1,9 @@
 """Encodes firings and their measurements as packets; a QT128C2X's have functional safety and checksums besides."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from lidarcfg.core import packets as core
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Flags, Octets, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.hesai.layout import (
     DISTANCE_MAX,
     FACTORY,
@@ -19,29 +16,31 @@ from lidarcfg.packets.hesai.layout import (
     START,
     Packets,
     azimuth_of,
+    bytes_of,
     date_of,
-    octets_of,
 )
 from lidarcfg.packets.hesai.model import Unit, within
+from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
-
-if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
-
 
 COLUMNS = ("time_ns", "laser", "encoder_rad")
 VERSION = 1
-COUNTER_NS, COUNTERS = 5_111_060, 6  # the rolling counter's step, 46 periods, and its values 0 to 5: as recorded
+COUNTER_NS = 5_111_060  # the rolling counter's step, 46 periods, as recorded
+COUNTERS = 6  # its values 0 to 5
 
 
-def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
+def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of a batch and what it measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
-    dual, pair = mount.dual, unit.columns(mount.return_mode)
+    dual = mount.dual
+    pair = unit.columns(mount.return_mode)
     packets = np.zeros(len(batch.number), unit.dtype)
     shape = len(packets), unit.groups(dual), unit.lasers.shape[1]
     time_ns, laser, encoder_rad = (getattr(batch.firings, key).reshape(shape) for key in COLUMNS)
-    loop, inside = _loops(unit, laser), within(mount, encoder_rad[:, :, 0])
-    blocks, facts = packets["blocks"], unit.range
+    loop = _loops(unit, laser)
+    inside = within(mount, encoder_rad[:, :, 0])
+    blocks = packets["blocks"]
+    facts = unit.range
     blocks["azimuth"] = np.repeat(azimuth_of(encoder_rad[:, :, 0]), 1 + dual, axis=1)
     returns = blocks["returns"]
     returns["confidence"] = unit.facts.packet.confidence
@@ -56,15 +55,18 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
         inside,
         limits,
         unit.count,
-        octets_of(packets),
+        bytes_of(packets),
     )
     first = laser[:, -1, 0]
     stamp_ns = time_ns[:, -1, 0] - unit.offset_ns[loop[:, -1], first] - unit.facts.firing.stamp_ns
     stamp_ns = (stamp_ns + 500) // 1000 * 1000
     _head(unit, packets, dual)
     tail = packets["tail"]
-    tail["return_mode"], tail["rpm"], tail["factory"] = RETURN_MODE_CODES[mount.return_mode], round(mount.rpm), FACTORY
-    tail["date"], tail["microseconds"] = date_of(stamp_ns), stamp_ns % SECOND_NS // 1000
+    tail["return_mode"] = RETURN_MODE_CODES[mount.return_mode]
+    tail["rpm"] = round(mount.rpm)
+    tail["factory"] = FACTORY
+    tail["date"] = date_of(stamp_ns)
+    tail["microseconds"] = stamp_ns % SECOND_NS // 1000
     tail["sequence"] = batch.number
     if unit.facts.packet.protocol == "3.2":
         if dual and len(unit.fires) > 1:
@@ -73,9 +75,10 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     return packets
 
 
-def sent(unit: Unit, packets: Packets, return_mode: str, laser: Octets) -> Flags:
+def sent(unit: Unit, packets: Packets, return_mode: str, laser: Bytes) -> Flags:
     """(N, 1) or (N, 2) of firings of `laser` (N,): which are returns in the packets; of two alike, the first."""
-    returns, pair = packets["blocks"]["returns"], unit.columns(return_mode)
+    returns = packets["blocks"]["returns"]
+    pair = unit.columns(return_mode)
     at = laser.reshape(len(packets), unit.groups(len(pair) == 2), -1).astype(np.int64)
     distance, reflectivity = (
         np.stack(
@@ -93,7 +96,7 @@ def sent(unit: Unit, packets: Packets, return_mode: str, laser: Octets) -> Flags
     return found
 
 
-def holds_one(unit: Unit, range_m: Array, reflectivity: Octets) -> Flags:
+def holds_one(unit: Unit, range_m: Array, reflectivity: Bytes) -> Flags:
     """(N,): of pairs of ranges (N, 2), which hold one return, or it twice."""
     least_m, most_m = unit.range.reported_m
     inside = (range_m >= least_m) & (range_m <= most_m)
@@ -103,14 +106,20 @@ def holds_one(unit: Unit, range_m: Array, reflectivity: Octets) -> Flags:
 
 
 def _head(unit: Unit, packets: Packets, dual: bool) -> None:
-    header, protocol = packets["header"], unit.facts.packet.protocol
-    header["start"], header["reserved"], header["flags"] = START, RESERVED[protocol], FLAGS[protocol]
+    header = packets["header"]
+    protocol = unit.facts.packet.protocol
+    header["start"] = START
+    header["reserved"] = RESERVED[protocol]
+    header["flags"] = FLAGS[protocol]
     header["major"], header["minor"] = map(int, protocol.split("."))
-    header["lasers"], header["blocks"], header["unit_mm"] = unit.count, unit.facts.packet.blocks, unit.unit_mm
-    header["first_return"], header["returns"] = FIRST_LAST * dual, 1 + dual
+    header["lasers"] = unit.count
+    header["blocks"] = unit.facts.packet.blocks
+    header["unit_mm"] = unit.unit_mm
+    header["first_return"] = FIRST_LAST * dual
+    header["returns"] = 1 + dual
 
 
-def _loops(unit: Unit, laser: Octets) -> Times:
+def _loops(unit: Unit, laser: Bytes) -> Times:
     """(P, G): which loop's lasers (P, G, F) fire."""
     if len(unit.fires) == 1:
         return np.zeros(laser.shape[:2], np.int64)
@@ -130,9 +139,9 @@ def write_checksums(packets: Packets) -> None:
     """Write the checksums of packets (P,): body, functional safety without its version, and tail."""
     fields = packets.dtype.fields
     assert fields
-    octets = octets_of(packets)
+    data = bytes_of(packets)
     at = {key: value[1] for key, value in fields.items()}
-    packets["body_crc"] = core.crc32_mpeg2(octets, HEADER.itemsize, at["body_crc"])
+    packets["body_crc"] = core.crc32_mpeg2(data, HEADER.itemsize, at["body_crc"])
     end = at["safety"] + SAFETY.itemsize - 4
-    packets["safety"]["crc"] = core.crc32_mpeg2(octets, at["safety"] + 1, end)
-    packets["tail_crc"] = core.crc32_mpeg2(octets, at["status"], at["tail_crc"])
+    packets["safety"]["crc"] = core.crc32_mpeg2(data, at["safety"] + 1, end)
+    packets["tail_crc"] = core.crc32_mpeg2(data, at["status"], at["tail_crc"])

@@ -10,8 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Flags, Octets, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.units import SECOND_NS
 
 Protocol = Literal["6.1", "3.2"]
@@ -42,8 +41,13 @@ RESERVED = {"6.1": 0, "3.2": 3}  # of the header, as recorded
 FACTORY = 0x42
 FIRST_LAST = 1  # the header's first return with dual returns, as recorded; the manuals call it reserved
 
-FIRST, STRONGEST, LAST, DUAL = 0x33, 0x37, 0x38, 0x39
-FIRST_AND_LAST, FIRST_AND_STRONGEST, TWO_STRONGEST = 0x3B, 0x3C, 0x3E
+FIRST = 0x33
+STRONGEST = 0x37
+LAST = 0x38
+DUAL = 0x39
+FIRST_AND_LAST = 0x3B
+FIRST_AND_STRONGEST = 0x3C
+TWO_STRONGEST = 0x3E
 RETURN_MODE_CODES = {
     "first": FIRST,
     "strongest": STRONGEST,
@@ -83,8 +87,8 @@ def packet(protocol: Protocol, lasers: int, blocks: int) -> np.dtype[np.void]:
     return np.dtype([*head, *safety, ("counters", "u1", (6,)), ("tail", TAIL), *end])
 
 
-def octets_of(packets: Packets) -> Octets:
-    """(P, size) octets of packets (P,), in the same memory."""
+def bytes_of(packets: Packets) -> Bytes:
+    """(P, size) bytes of packets (P,), in the same memory."""
     return packets.view(np.uint8).reshape(len(packets), packets.dtype.itemsize)
 
 

@@ -2,25 +2,21 @@
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from lidarcfg.config.models import Model, validation_error
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Firings, Flags, Octets, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.facts import Header, Network, SensorInstance
 from lidarcfg.packets.hesai.layout import Packets, Protocol, packet
-from lidarcfg.packets.network import Header, Network
-from lidarcfg.packets.rotating import revolutions
-from lidarcfg.packets.unit import SensorInstance
+from lidarcfg.sensors.firing import Batch, Firings
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.schedule import revolutions
 from lidarcfg.sensors.sensor import Byte, Sensor
 from lidarcfg.units import MINUTE_NS
-
-if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
-
 
 Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]
 PairMode = Literal["dual", "first-last", "first-strongest", "two-strongest"]
@@ -144,9 +140,9 @@ class Unit(SensorInstance[Facts]):
         before = np.arange(1 - self.groups(dual), 1)
         return before * self.facts.firing.period_ns + self.facts.firing.stamp_ns
 
-    def packets_of(self, octets: Octets) -> Packets:
-        """(P,) packets of (P, size) octets, in the same memory."""
-        return np.ascontiguousarray(octets).view(self.dtype)[:, 0]
+    def packets_of(self, data: Bytes) -> Packets:
+        """(P,) packets of (P, size) bytes, in the same memory."""
+        return np.ascontiguousarray(data).view(self.dtype)[:, 0]
 
 
 @lru_cache(64)
@@ -162,13 +158,14 @@ def unit(sensor: Sensor) -> Unit:
     return Unit(sensor, facts)
 
 
-def batches(unit: Unit, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+def batches(unit: Unit, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
     """The firings of so many packets' time, `chunk` packets at a time.
 
     Packet 0's lasers start to fire `stamp_ns` after `start_ns`. With an azimuth field of view, packets are sent in
     which some firing lies within it.
     """
-    sent, longest_ns = 0, int(unit.offset_ns.max())
+    sent = 0
+    longest_ns = int(unit.offset_ns.max())
     for first in range(0, packets, chunk):
         numbers = range(first, min(first + chunk, packets))
         fired, stamp_ns, inside = _firings(unit, mount, start_ns, numbers)
@@ -182,13 +179,14 @@ def batches(unit: Unit, mount: "Mount", start_ns: int, packets: int, chunk: int)
         sent += len(ends_ns)
 
 
-def _firings(unit: Unit, mount: "Mount", start_ns: int, numbers: range) -> tuple[Firings, Times, Flags]:
+def _firings(unit: Unit, mount: Mount, start_ns: int, numbers: range) -> tuple[Firings, Times, Flags]:
     """Of the packets with these numbers: firings, stamps (P,), and which groups (P, G) are within the field of view.
 
     All lasers of a group fire where the head is at its start, as the group's azimuth says.
     """
     dual = mount.dual
-    groups, period_ns = unit.groups(dual), unit.period_ns(dual)
+    groups = unit.groups(dual)
+    period_ns = unit.period_ns(dual)
     first_ns = start_ns + np.array(numbers, np.int64) * period_ns
     starts_ns = unit.facts.firing.stamp_ns + np.arange(groups) * unit.facts.firing.period_ns
     begun = revolutions(mount.rpm, period_ns, start_ns, numbers, mount.phase_deg)
@@ -208,7 +206,7 @@ def _firings(unit: Unit, mount: "Mount", start_ns: int, numbers: range) -> tuple
     return fired, stamp_ns, within(mount, encoder_rad)
 
 
-def within(mount: "Mount", encoder_rad: Array) -> Flags:
+def within(mount: Mount, encoder_rad: Array) -> Flags:
     """Whether the head points into the mount's field of view."""
     if mount.azimuth_fov_deg is None:
         return np.ones(encoder_rad.shape, np.bool_)

@@ -56,7 +56,9 @@ def parse_corrections(name: str, content: bytes) -> Beams:
                 raise PacketError(f"{name}:{number}: {line[:40]!r} is not channel,elevation,azimuth")
             continue
         try:
-            channel, elevation, azimuth = int(row[1]), float(row[2]), float(row[3])
+            channel = int(row[1])
+            elevation = float(row[2])
+            azimuth = float(row[3])
         except ValueError:
             raise PacketError(f"{name}:{number}: {line[:40]!r} is not channel,elevation,azimuth") from None
         if channel in angles:

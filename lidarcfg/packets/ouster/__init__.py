@@ -12,28 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import (
-    Batch,
-    Codec,
-    Decoder,
-    Flags,
-    Known,
-    Measurements,
-    Octets,
-    Pace,
-    Payloads,
-    Source,
-    Times,
-)
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
 from lidarcfg.packets.ouster import decode, encode, telemetry
 from lidarcfg.packets.ouster.model import Facts, Mode, Settings, Unit, batches, mode, unit
 from lidarcfg.packets.point_fields import OUSTER
-from lidarcfg.sensors.firing import Pattern
+from lidarcfg.sensors.firing import Batch, Pace, Pattern
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
@@ -44,44 +32,40 @@ class Ouster(Codec):
     """The packets of one Ouster."""
 
     point_fields = OUSTER
-    facts_model, settings_model = Facts, Settings
+    facts_model = Facts
+    settings_model = Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
 
-    def check(self, mount: "Mount") -> None:
-        """See `Codec`."""
+    def check(self, mount: Mount) -> None:
         self._mode(mount)
 
-    def pace(self, mount: "Mount") -> Pace:
-        """See `Codec`."""
+    def pace(self, mount: Mount) -> Pace:
         mode = self._mode(mount)
         return Pace(mode.period_ns, mode.layout.columns_per_packet * mode.layout.pixels)
 
-    def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-        """See `Codec`."""
+    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
         return batches(self._mode(mount), start_ns, packets, chunk, mount.phase_deg)
 
-    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
-        """See `Codec`."""
+    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
         mode = self._mode(mount)
         headers = self.unit.facts.headers
         packets = encode.encode(self.unit, mode, batch, range_m, reflectivity)
         fragments = mode.settings.fragments
         return Payloads(batch.sent_ns, packets, mount.data_port, headers, headers.data, batch.first, fragments)
 
-    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
-        """See `Codec`."""
+    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         return encode.sent(self._mode(mount), payloads.data)
 
-    def return_types(self, mount: "Mount", range_m: Array, reflectivity: Octets) -> Octets:
-        """See `Codec`; of two the stronger comes first, and the other is the second strongest."""
+    def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
+        """Of two the stronger comes first, and the other is the second strongest."""
         if mount.return_mode != "dual" or self._mode(mount).nearest_first:
             return super().return_types(mount, range_m, reflectivity)
         return encode.return_types(self.unit, range_m, reflectivity)
 
     def housekeeping(
-        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
         """Inertial measurements."""
         mode = self._mode(mount)
@@ -90,17 +74,16 @@ class Ouster(Codec):
             payloads = telemetry.legacy_imu_payloads if legacy else telemetry.framed_imu_payloads
             yield from payloads(self.unit, mode, mount, trajectory, start_ns, duration_ns)
 
-    def sidecar_files(self, mount: "Mount") -> Mapping[str, bytes]:
+    def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The metadata."""
         return {telemetry.SUFFIX: telemetry.metadata_file(self.unit, self._mode(mount), mount)}
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
-        """See `Codec`; the layout is the metadata's."""
+    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
+        """The layout is the metadata's."""
         return decode.measurements(telemetry.find_metadata(source, packets).layout, packets, host_ns)
 
-    def packed(self, mount: "Mount", found: Measurements) -> Octets:
-        """See `Codec`."""
-        return encode.packed(found)
+    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
+        return encode.encode_measurements(measured)
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:
@@ -108,14 +91,14 @@ class Ouster(Codec):
         return telemetry.matches(source, size, payload)
 
     @classmethod
-    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
-        """See `Codec`: the metadata says it."""
+    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
+        """The sensor that the metadata names."""
         metadata = telemetry.find_metadata(source, packets)
         named = known(metadata.model)
         return named[0] if named else telemetry.unknown_sensor(metadata, known()[0])
 
-    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
-        """See `Codec`. Beams are those that the metadata says."""
+    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
+        """Beams are those that the metadata says."""
         metadata = telemetry.find_metadata(source, packets)
         sensor = self.unit.sensor
         if metadata.layout.pixels != sensor.count:
@@ -124,14 +107,14 @@ class Ouster(Codec):
         return decode.OusterDecoder(source.where, metadata, sensor.name)
 
     def firing_ns(self) -> Times:
-        """See `Codec`: all fire at once."""
+        """All fire at once."""
         return np.zeros(self.unit.sensor.count, np.int64)
 
-    def pattern(self, mount: "Mount") -> Pattern:
-        """See `Codec`: a column at each of as many encoder angles, whichever way it points when it starts."""
+    def pattern(self, mount: Mount) -> Pattern:
+        """A column at each of as many encoder angles, whichever way the head points when it starts."""
         step_rad = 2 * math.pi / self._mode(mount).layout.columns_per_frame
         together = np.zeros(self.unit.sensor.count)
         return Pattern(step_rad, np.arange(len(together)), together, together, start_rad=0.0)
 
-    def _mode(self, mount: "Mount") -> Mode:
+    def _mode(self, mount: Mount) -> Mode:
         return mode(self.unit.sensor, mount)

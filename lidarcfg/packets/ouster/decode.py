@@ -11,19 +11,8 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array, transform
-from lidarcfg.packets.codec import (
-    Batch,
-    Decoder,
-    DecodeStatistics,
-    Firings,
-    Flags,
-    Measurements,
-    Octets,
-    Returns,
-    Times,
-    chosen,
-)
+from lidarcfg.geometry import Array, Bytes, Flags, Times, transform
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns
 from lidarcfg.packets.ouster.layout import (
     CONSTANT,
     LEGACY_VALID,
@@ -35,9 +24,9 @@ from lidarcfg.packets.ouster.layout import (
     unpack,
 )
 from lidarcfg.packets.ouster.telemetry import Metadata
+from lidarcfg.sensors.firing import LAST, SECOND, STRONGEST, Batch, Firings
 from lidarcfg.units import MINUTE_NS
 
-STRONGEST, LAST, SECOND = 0, 1, 2
 ENDS = "", "2"  # of the names of the first and of the second return's fields
 MEASURED = "range", "reflectivity"  # of each return; the other fields are in `Measurements.more`
 
@@ -62,8 +51,8 @@ class Beams(NamedTuple):
     ahead_m: float  # from the axis to where all beams start
     origin_m: float  # from the lidar's origin to there, which ranges include
     shift_m: tuple[float, float, float]  # that is added to all
-    ring: Octets  # (L,)
-    return_type: Octets  # (R,)
+    ring: Bytes  # (L,)
+    return_type: Bytes  # (R,)
 
 
 class OusterDecoder(Decoder):
@@ -85,18 +74,17 @@ class OusterDecoder(Decoder):
         self._columns = 0
         self._time_ns = 0
 
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
-        """See `Decoder`: the first column's. Columns outside a window may say 0."""
+    def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
+        """(P,) the first column's. Columns outside a window may say 0."""
         time_ns = column_headers(self._layout, packets).time_ns
         return np.asarray(np.where(time_ns == 0, np.iinfo(np.int64).max, time_ns).min(axis=1))
 
-    def heading_rad(self, packets: Octets) -> Array:
-        """See `Decoder`; 0 where revolutions begin, which is the sensor's back."""
+    def heading_rad(self, packets: Bytes) -> Array:
+        """(P,) 0 where revolutions begin, which is the sensor's back."""
         measurement = column_headers(self._layout, packets).measurement[:, :1].max(axis=1, initial=0)
         return np.asarray(measurement * (2 * np.pi / self._layout.columns_per_frame) % (2 * np.pi))
 
-    def check(self, packets: Octets) -> None:
-        """See `Decoder`."""
+    def check(self, packets: Bytes) -> None:
         serial = self._metadata.serial
         if not len(packets) or self._layout.legacy or not serial:
             return
@@ -105,12 +93,11 @@ class OusterDecoder(Decoder):
             what = f"packets are of sensor {found.serial}, its metadata {self._metadata.name} of {serial}"
             raise PacketError(f"{self._where}: {what}")
 
-    def count(self, packets: Octets, wanted: Flags) -> None:
-        """See `Decoder`."""
+    def count(self, packets: Bytes, wanted: Flags) -> None:
         if not wanted.any():
             return
         layout = self._layout
-        packets = chosen(packets, wanted)
+        packets = _select(packets, wanted)
         frame = packet_headers(layout, packets).frame
         column = column_headers(layout, packets).measurement[:, 0]
         inside = np.searchsorted(self._in_frame, column // layout.columns_per_packet).clip(max=len(self._in_frame) - 1)
@@ -130,18 +117,16 @@ class OusterDecoder(Decoder):
             self._before = at
 
     def statistics(self) -> DecodeStatistics:
-        """See `Decoder`."""
         revolutions = self._columns / self._layout.columns_per_frame
         rpm = revolutions * MINUTE_NS / self._time_ns if self._time_ns else float("nan")
         modes = ("strongest",) if self._layout.profile.returns == 1 else ("dual",)
         return DecodeStatistics((self._model,), modes, self._lost, rpm)
 
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         layout = self._layout
-        packets = np.ascontiguousarray(chosen(packets, wanted))
+        packets = np.ascontiguousarray(_select(packets, wanted))
         pixels = len(packets) * layout.columns_per_packet * layout.pixels
-        returns = Returns.room(pixels * layout.profile.returns)
+        returns = Returns.allocate(pixels * layout.profile.returns)
         count = core.decode_points(
             packets,
             layout,
@@ -158,10 +143,10 @@ class OusterDecoder(Decoder):
             returns.xyz_m[:] = transform(self._T, returns.xyz_m)
         return returns
 
-    def driver_columns(self, packets: Octets, wanted: Flags) -> dict[str, NDArray[Any]]:
-        """See `Decoder`. What the profile does not have is 0, as with ouster-ros."""
+    def driver_columns(self, packets: Bytes, wanted: Flags) -> dict[str, NDArray[Any]]:
+        """What the profile does not have is 0, as with ouster-ros."""
         layout = self._layout
-        packets = np.ascontiguousarray(chosen(packets, wanted))
+        packets = np.ascontiguousarray(_select(packets, wanted))
         found = unpack(layout, packets)
         ends = ENDS[: layout.profile.returns]
         ranges = np.stack([found[f"range{end}"] for end in ends], axis=-1)
@@ -174,6 +159,13 @@ class OusterDecoder(Decoder):
             "near_ir": np.broadcast_to(found["near_ir"][..., None], ranges.shape)[there],
             "row": np.broadcast_to(np.arange(layout.pixels)[:, None], ranges.shape)[there],
         }
+
+
+def _select(packets: Bytes, wanted: Flags) -> Bytes:
+    """The wanted packets; a view, if they are consecutive."""
+    rows = np.flatnonzero(wanted)
+    consecutive = len(rows) > 0 and rows[-1] - rows[0] < len(rows)
+    return packets[rows[0] : rows[-1] + 1] if consecutive else packets[wanted]
 
 
 def _profile(layout: Layout) -> Profile:
@@ -231,7 +223,7 @@ def _packets_in_window(metadata: Metadata) -> Times:
     return np.unique(column[inside] // layout.columns_per_packet)
 
 
-def measurements(layout: Layout, packets: Octets, host_ns: Times) -> Measurements:
+def measurements(layout: Layout, packets: Bytes, host_ns: Times) -> Measurements:
     """All pixels of packets (P, size), in the order of columns: see `Codec.measurements`.
 
     Ranges are what the fields say. Beside them are the other fields (N,), what columns say (P, C), and the headers.
@@ -265,7 +257,7 @@ def measurements(layout: Layout, packets: Octets, host_ns: Times) -> Measurement
     )
 
 
-def _footer(layout: Layout, packets: Octets) -> Footer:
+def _footer(layout: Layout, packets: Bytes) -> Footer:
     if layout.legacy or not packets[:, -8:].any():
         return "zero"
     if (packets[:, -8:] == np.frombuffer(CONSTANT, np.uint8)).all():

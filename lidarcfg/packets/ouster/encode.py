@@ -7,8 +7,8 @@ import numpy as np
 
 from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Flags, Measurements, Octets
+from lidarcfg.geometry import Array, Bytes, Flags
+from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.ouster.layout import (
     ALERTS,
     PROFILES,
@@ -21,6 +21,7 @@ from lidarcfg.packets.ouster.layout import (
     unpack,
 )
 from lidarcfg.packets.ouster.model import Mode, Unit, in_window, measurements
+from lidarcfg.sensors.firing import Batch
 
 BYTE = np.arange(256.0)
 # Per cent of a white target's light that a reflectivity says: above 100 it doubles with each 16, as a recorded OS2's
@@ -39,7 +40,7 @@ class RangeLimits(NamedTuple):
     most_units: float
 
 
-def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: Octets) -> Octets:
+def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: Bytes) -> Bytes:
     """(P, size): as `Codec.encode` says. Near-infrared light is none.
 
     Of two returns the nearer comes first, or the stronger, as the metadata says.
@@ -76,7 +77,7 @@ def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: O
     return assemble(layout, headers, columns, raw, layout.bits_of(MEASURED[: 3 * returns]), footer)
 
 
-def return_types(unit: Unit, range_m: Array, reflectivity: Octets) -> Octets:
+def return_types(unit: Unit, range_m: Array, reflectivity: Bytes) -> Bytes:
     """(N, 2): of two returns that come by their strength, 0 of the stronger and 2 of the other."""
     least_m, most_m = unit.range.reported_m
     there = ((range_m >= least_m) & (range_m <= most_m)).all(axis=1)
@@ -87,33 +88,33 @@ def return_types(unit: Unit, range_m: Array, reflectivity: Octets) -> Octets:
     return np.stack([2 * weaker, 2 * ~weaker], axis=1).astype(np.uint8)
 
 
-def sent(mode: Mode, packets: Octets) -> Flags:
+def sent(mode: Mode, packets: Bytes) -> Flags:
     """(N, R): which of the firings' returns are in the packets."""
     found = unpack(mode.layout, packets)
     ranges = [name for name in ("range", "range2") if name in found]
     return np.stack([found[name].ravel() > 0 for name in ranges], axis=-1)
 
 
-def packed(found: Measurements) -> Octets:
+def encode_measurements(measured: Measurements) -> Bytes:
     """(P, size): packets of measurements, as `decode.measurements` has them of recordings. Raises PacketError."""
-    facts = _facts(found)
+    facts = _facts(measured)
     layout = Layout(**facts["layout"])
-    more = found.more
+    more = measured.more
     shape = more["measurement"].shape
-    if len(found.range_m) != more["valid"].size * layout.pixels or shape[1:] != (layout.columns_per_packet,):
+    if len(measured.range_m) != more["valid"].size * layout.pixels or shape[1:] != (layout.columns_per_packet,):
         raise PacketError("an Ouster's columns and pixels do not belong together")
     given = {}
     for name, field in layout.profile.fields.items():
         kind = name.rstrip("2")
         slot = int(name.endswith("2"))
         if kind == "range":
-            millimetres = np.nan_to_num(np.rint(found.range_m[:, slot] * 1000), posinf=0)
+            millimetres = np.nan_to_num(np.rint(measured.range_m[:, slot] * 1000), posinf=0)
             most = field.most << field.dropped
             given[name] = np.where(millimetres <= most, millimetres, 0)
         else:
-            given[name] = found.reflectivity[:, slot] if kind == "reflectivity" else more[name]
-    time_ns = found.batch.firings.time_ns[:: layout.pixels].reshape(shape)
-    headers = PacketHeaders(frame=found.batch.number, **facts["heads"])
+            given[name] = measured.reflectivity[:, slot] if kind == "reflectivity" else more[name]
+    time_ns = measured.batch.firings.time_ns[:: layout.pixels].reshape(shape)
+    headers = PacketHeaders(frame=measured.batch.number, **facts["heads"])
     columns = ColumnHeaders(time_ns, more["measurement"], more["valid"])
     return pack(layout, headers, columns, given, facts["footer"])
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.core import ouster as core
-from lidarcfg.packets.codec import Flags, Octets, Times
+from lidarcfg.geometry import Bytes, Flags, Times
 
 PACKET_COLUMNS = 16
 TICKS = 90112  # of the encoder in a revolution, which LEGACY columns say
@@ -188,20 +188,21 @@ class Layout:
         return np.array([(field.bit // 32, field.bit % 32, field.most) for field in found], np.int64)
 
 
-def values(packets: Octets, dtype: str, at: int) -> NDArray[Any]:
+def values(packets: Bytes, dtype: str, at: int) -> NDArray[Any]:
     """(P,) the numbers at a byte of each packet; a view."""
     return np.ndarray((len(packets),), np.dtype(dtype), packets, at, packets.strides[:1])
 
 
-def column_values(layout: Layout, packets: Octets, dtype: str, at: int) -> NDArray[Any]:
+def column_values(layout: Layout, packets: Bytes, dtype: str, at: int) -> NDArray[Any]:
     """(P, C) the numbers at a byte of each column; a view."""
     if not len(packets):
         return np.empty((0, layout.columns_per_packet), np.dtype(dtype))
-    shape, strides = (len(packets), layout.columns_per_packet), (packets.strides[0], layout.column)
+    shape = (len(packets), layout.columns_per_packet)
+    strides = (packets.strides[0], layout.column)
     return np.ndarray(shape, np.dtype(dtype), packets, layout.head + at, strides)
 
 
-def column_headers(layout: Layout, packets: Octets) -> ColumnHeaders:
+def column_headers(layout: Layout, packets: Bytes) -> ColumnHeaders:
     """The headers of the columns."""
     if layout.legacy:
         valid = column_values(layout, packets, "<u4", layout.column - 4) == LEGACY_VALID
@@ -215,7 +216,7 @@ def column_headers(layout: Layout, packets: Octets) -> ColumnHeaders:
     )
 
 
-def packet_headers(layout: Layout, packets: Octets) -> PacketHeaders:
+def packet_headers(layout: Layout, packets: Bytes) -> PacketHeaders:
     """The headers of the packets; serial number, states and countdowns are the first packet's."""
     if layout.legacy:
         return PacketHeaders(values(packets, "<u2", 10).astype(np.int64), 0, 0)
@@ -234,7 +235,7 @@ def packet_headers(layout: Layout, packets: Octets) -> PacketHeaders:
     )
 
 
-def write_packet_headers(layout: Layout, packets: Octets, headers: PacketHeaders) -> None:
+def write_packet_headers(layout: Layout, packets: Bytes, headers: PacketHeaders) -> None:
     """Write the headers of packets (P, size). LEGACY columns hold the frame's number."""
     if layout.legacy:
         column_values(layout, packets, "<u2", 10)[:] = headers.frame[:, None] % layout.frames
@@ -249,7 +250,7 @@ def write_packet_headers(layout: Layout, packets: Octets, headers: PacketHeaders
     packets[:, 16:20] = headers.thermal_countdown, headers.shot_countdown, headers.thermal, headers.shot
 
 
-def write_column_headers(layout: Layout, packets: Octets, headers: ColumnHeaders) -> None:
+def write_column_headers(layout: Layout, packets: Bytes, headers: ColumnHeaders) -> None:
     """Write the columns' stamps, numbers and states."""
     column_values(layout, packets, "<u8", 0)[:] = headers.time_ns
     column_values(layout, packets, "<u2", 8)[:] = headers.measurement
@@ -260,7 +261,7 @@ def write_column_headers(layout: Layout, packets: Octets, headers: ColumnHeaders
         column_values(layout, packets, "<u2", 10)[:] = headers.valid
 
 
-def unpack(layout: Layout, packets: Octets) -> dict[str, NDArray[np.uint32]]:
+def unpack(layout: Layout, packets: Bytes) -> dict[str, NDArray[np.uint32]]:
     """(P, C, pixels) by the names of the profile's fields. Ranges are in millimetres."""
     shape = len(packets), layout.columns_per_packet, layout.pixels
     raw = np.empty((len(layout.profile.fields), len(packets) * layout.columns_per_packet * layout.pixels), np.uint32)
@@ -277,7 +278,7 @@ def pack(
     columns: ColumnHeaders,
     pixels: Mapping[str, NDArray[Any]],
     footer: Footer,
-) -> Octets:
+) -> Bytes:
     """(P, size) the packets with these contents; `pixels` are fields (P, C, pixels) as `unpack` returns them."""
     shape = (len(pixels), len(columns.time_ns) * layout.columns_per_packet * layout.pixels)
     raw = np.empty(shape, np.uint32)
@@ -293,7 +294,7 @@ def assemble(
     raw: NDArray[np.uint32],
     bits: NDArray[np.int64],
     footer: Footer,
-) -> Octets:
+) -> Bytes:
     """(P, size) the packets with these raw fields (F, N), whose bits are as `Layout.bits_of` says."""
     packets = np.zeros((len(columns.time_ns), layout.size), np.uint8)
     write_packet_headers(layout, packets, headers)
@@ -307,6 +308,6 @@ def assemble(
     return packets
 
 
-def crc64(octets: Octets) -> NDArray[np.uint64]:
-    """(P,) CRC-64/XZ of rows (P, n), n being a multiple of four, but for its last eight octets."""
-    return core.crc64(np.ascontiguousarray(octets), octets.shape[1] - 8)
+def crc64(data: Bytes) -> NDArray[np.uint64]:
+    """(P,) CRC-64/XZ of rows (P, n), n being a multiple of four, but for its last eight bytes."""
+    return core.crc64(np.ascontiguousarray(data), data.shape[1] - 8)

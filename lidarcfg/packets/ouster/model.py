@@ -7,22 +7,20 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from lidarcfg.config.models import Model
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.codec import Batch, Firings, Flags, Times
-from lidarcfg.packets.network import Header, Network
+from lidarcfg.geometry import Flags, Times
+from lidarcfg.packets.facts import Header, Network, SensorInstance
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
-from lidarcfg.packets.unit import SensorInstance
+from lidarcfg.sensors.firing import Batch, Firings
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Millimetres, Sensor
 from lidarcfg.units import SECOND_NS
-
-if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
 
 ProfileName = Literal[
     "LEGACY",
@@ -32,12 +30,15 @@ ProfileName = Literal[
     "RNG15_RFL8_NIR8_DUAL",
     "FUSA_RNG15_RFL8_NIR8_DUAL",
 ]
-SINGLE, DUAL = "RNG19_RFL8_SIG16_NIR16", "RNG19_RFL8_SIG16_NIR16_DUAL"
+SINGLE = "RNG19_RFL8_SIG16_NIR16"
+DUAL = "RNG19_RFL8_SIG16_NIR16_DUAL"
 SINCE_3 = ("RNG15_RFL8_NIR8_DUAL", "FUSA_RNG15_RFL8_NIR8_DUAL")
 RPM = (600.0, 1200.0)
-SERIAL_FIRST, SERIALS = 122_000_000_000, 10**9
+SERIAL_FIRST = 122_000_000_000
+SERIALS = 10**9
 LASERS_MAX = 128
-IMU_PACKETS_HZ, IMU_MEASUREMENTS = 80, 8  # as metadata of firmware 3.2 at 10 Hz has them
+IMU_PACKETS_HZ = 80  # this and the next as metadata of firmware 3.2 at 10 Hz has them
+IMU_MEASUREMENTS = 8  # in a packet
 
 
 class Imu(Model):
@@ -152,7 +153,7 @@ def unit(sensor: Sensor) -> Unit:
     return Unit(sensor, facts)
 
 
-def mode(sensor: Sensor, mount: "Mount") -> Mode:
+def mode(sensor: Sensor, mount: Mount) -> Mode:
     """How a mount's sensor sends. Raises ConfigError for what it cannot."""
     settings = mount.settings.checked(Settings)
     if mount.return_mode not in ("strongest", "dual"):
@@ -246,7 +247,8 @@ def phase(mode: Mode, start_ns: int, phase_deg: float | None) -> tuple[int, int]
 
 def _firings(mode: Mode, number: Times, time_ns: Times) -> Firings:
     """All lasers of a column fire at once."""
-    lasers, count = mode.layout.pixels, mode.layout.columns_per_frame
+    lasers = mode.layout.pixels
+    count = mode.layout.columns_per_frame
     turned = (measurements(mode, number) / count + 0.5) % 1
     return Firings(
         time_ns=np.repeat(time_ns.ravel(), lasers),

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Octets, Payloads, Source
+from lidarcfg.geometry import Array, Bytes
+from lidarcfg.packets.codec import Payloads, Source
 from lidarcfg.packets.inertial import GRAVITY_M_S2, measured
 from lidarcfg.packets.ouster.layout import (
     ALERTS,
@@ -27,11 +27,11 @@ from lidarcfg.packets.ouster.layout import (
     write_packet_headers,
 )
 from lidarcfg.packets.ouster.model import IMU_MEASUREMENTS, LASERS_MAX, Mode, Unit, phase, unit
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Beams, Sensor
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
 
 SUFFIX = ".json"  # of metadata
@@ -99,30 +99,30 @@ class Metadata:
 def read_metadata(name: str, content: bytes) -> Metadata | None:
     """The metadata in a file called `name`; None if it is another kind of JSON. Raises PacketError if it is damaged."""
     try:
-        said = json.loads(content)
+        metadata = json.loads(content)
     except (ValueError, RecursionError):
-        said = None
-    if not isinstance(said, dict) or not ({"beam_intrinsics", "beam_altitude_angles"} & said.keys()):
+        metadata = None
+    if not isinstance(metadata, dict) or not ({"beam_intrinsics", "beam_altitude_angles"} & metadata.keys()):
         return None
     try:
-        return _read(name, _flat(said))
+        return _read(name, _flat(metadata))
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
         raise PacketError(f"{name}: not the metadata of an Ouster: {what}") from None
 
 
-def _flat(said: dict[str, Any]) -> dict[str, Any]:
+def _flat(metadata: dict[str, Any]) -> dict[str, Any]:
     """The keys of all parts in one flat map, as firmware before 3 writes them."""
-    flat = dict(said)
+    flat = dict(metadata)
     for part in ("beam_intrinsics", "lidar_intrinsics", "sensor_info", "config_params"):
-        flat |= said.get(part, {})
-    flat["data_format"] = said["data_format"] if "data_format" in said else said["lidar_data_format"]
+        flat |= metadata.get(part, {})
+    flat["data_format"] = metadata["data_format"] if "data_format" in metadata else metadata["lidar_data_format"]
     return flat
 
 
-def _read(name: str, said: dict[str, Any]) -> Metadata:
-    form = said["data_format"]
-    elevation, azimuth = (_numbers(said, key) for key in ("beam_altitude_angles", "beam_azimuth_angles"))
+def _read(name: str, metadata: dict[str, Any]) -> Metadata:
+    form = metadata["data_format"]
+    elevation, azimuth = (_numbers(metadata, key) for key in ("beam_altitude_angles", "beam_azimuth_angles"))
     pixels = _whole(form, "pixels_per_column", 1, LASERS_MAX)
     if not len(elevation) == len(azimuth) == pixels:
         raise ValueError(f"{pixels} pixels a column, {len(elevation)} altitude and {len(azimuth)} azimuth angles")
@@ -138,16 +138,16 @@ def _read(name: str, said: dict[str, Any]) -> Metadata:
     first, last = (int(column) for column in form.get("column_window", (0, count - 1)))
     if not (0 <= first < count and 0 <= last < count):
         raise ValueError(f"column_window {first}, {last} is outside of {count} columns")
-    if "beam_to_lidar_transform" in said:
-        to_lidar = _matrix(said, "beam_to_lidar_transform")
+    if "beam_to_lidar_transform" in metadata:
+        to_lidar = _matrix(metadata, "beam_to_lidar_transform")
         start_mm = float(to_lidar[0, 3]), float(to_lidar[2, 3])
     else:
-        start_mm = float(said["lidar_origin_to_beam_origin_mm"]), 0.0
-    to_sensor = _matrix(said, "lidar_to_sensor_transform")
+        start_mm = float(metadata["lidar_origin_to_beam_origin_mm"]), 0.0
+    to_sensor = _matrix(metadata, "lidar_to_sensor_transform")
     to_sensor[:3, 3] /= 1000
     if not (np.isfinite(start_mm).all() and math.hypot(*start_mm) < 1e6):
         raise ValueError(f"beams start at {start_mm} mm")
-    port = said.get("udp_port_lidar")
+    port = metadata.get("udp_port_lidar")
     return Metadata(
         name=name,
         layout=Layout(profile, pixels, count, per_packet),
@@ -156,30 +156,30 @@ def _read(name: str, said: dict[str, Any]) -> Metadata:
         azimuth_rad=np.radians(azimuth),
         start_m=(start_mm[0] / 1000, start_mm[1] / 1000),
         T_sensor_lidar=to_sensor,
-        line=str(said.get("prod_line", "")),
-        serial=int(said.get("prod_sn") or 0),
-        init=int(said.get("initialization_id") or 0),
+        line=str(metadata.get("prod_line", "")),
+        serial=int(metadata.get("prod_sn") or 0),
+        init=int(metadata.get("initialization_id") or 0),
         port=int(port) if port else None,
-        nearest_first=said.get("return_order") == "NEAREST_TO_FARTHEST",
+        nearest_first=metadata.get("return_order") == "NEAREST_TO_FARTHEST",
     )
 
 
-def _numbers(said: dict[str, Any], key: str) -> Array:
-    found = np.array(said[key], np.float64)
+def _numbers(metadata: dict[str, Any], key: str) -> Array:
+    found = np.array(metadata[key], np.float64)
     if found.ndim != 1 or not (abs(found) <= 360).all():
         raise ValueError(f"{key} is no list of angles")
     return found
 
 
-def _matrix(said: dict[str, Any], key: str) -> Array:
-    found = np.array(said[key], np.float64)
+def _matrix(metadata: dict[str, Any], key: str) -> Array:
+    found = np.array(metadata[key], np.float64)
     if found.size != 16 or not (abs(found) < 1e9).all():
         raise ValueError(f"{key} is no 4 x 4 matrix")
     return found.reshape(4, 4)
 
 
-def _whole(said: dict[str, Any], key: str, least: int, most: int) -> int:
-    value = said[key]
+def _whole(metadata: dict[str, Any], key: str, least: int, most: int) -> int:
+    value = metadata[key]
     if not isinstance(value, int) or not least <= value <= most:
         raise ValueError(f"{key} is {value!r}; allowed: {least} to {most}")
     return value
@@ -189,7 +189,8 @@ def is_lidar_packet(profile: str, payload: bytes) -> bool:
     """Whether the first bytes are a lidar packet's."""
     header = PROFILES[profile].header
     if header == "legacy":
-        measurement, ticks = int.from_bytes(payload[8:10], "little"), int.from_bytes(payload[12:16], "little")
+        measurement = int.from_bytes(payload[8:10], "little")
+        ticks = int.from_bytes(payload[12:16], "little")
         return ticks < TICKS and measurement <= ticks
     return payload[:2] == b"\x01\0" if header == "standard" else payload[:1] == b"\x01"
 
@@ -206,7 +207,7 @@ def _metadata_beside(source: Source, size: int) -> list[Metadata]:
     return [one for one in found if one and one.layout.size == size]
 
 
-def find_metadata(source: Source, packets: Octets) -> Metadata:
+def find_metadata(source: Source, packets: Bytes) -> Metadata:
     """The metadata of the source's packets. Raises PacketError if there is none, or if several fit."""
     size = packets.shape[1]
     payload = packets[0].tobytes()
@@ -219,8 +220,8 @@ def find_metadata(source: Source, packets: Octets) -> Metadata:
     same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
     if not same:
         serials = ", ".join(f"{one.name} is of {one.line} {one.serial}" for one in beside)
-        said = f"{_serial(fit[0], packets)}" if fit else "another profile"
-        raise PacketError(f"{source.where}: its packets are of {said}; {serials}")
+        other = f"{_serial(fit[0], packets)}" if fit else "another profile"
+        raise PacketError(f"{source.where}: its packets are of {other}; {serials}")
     first = same[0]
     if any(not _alike(first, one) for one in same[1:]):
         names = ", ".join(one.name for one in same)
@@ -228,7 +229,7 @@ def find_metadata(source: Source, packets: Octets) -> Metadata:
     return first
 
 
-def _serial(one: Metadata, packets: Octets) -> int:
+def _serial(one: Metadata, packets: Bytes) -> int:
     return packet_headers(one.layout, packets[:1]).serial
 
 
@@ -255,12 +256,14 @@ def unknown_sensor(found: Metadata, like: Sensor) -> Sensor:
     )
 
 
-def metadata_file(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
+def metadata_file(unit: Unit, mode: Mode, mount: Mount) -> bytes:
     """The metadata of a mount's sensor, with the parts of firmware 3 that ouster-sdk needs."""
-    layout, beams, firmware = mode.layout, unit.sensor.beams, mode.settings.firmware
+    layout = mode.layout
+    beams = unit.sensor.beams
+    firmware = mode.settings.firmware
     ahead_mm, up_mm = unit.start_mm
     azimuth_deg = beams.azimuth_offset_deg or (0.0,) * unit.sensor.count
-    said: dict[str, Any] = {
+    metadata: dict[str, Any] = {
         "beam_intrinsics": {
             "beam_altitude_angles": list(beams.elevation_deg),
             "beam_azimuth_angles": list(azimuth_deg),
@@ -292,16 +295,17 @@ def metadata_file(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
         },
     }
     if mode.settings.imu_profile != "LEGACY":
-        said["imu_data_format"] = {
+        metadata["imu_data_format"] = {
             "imu_measurements_per_packet": IMU_MEASUREMENTS,
             "imu_packets_per_frame": mode.imu_packets,
         }
-    return (json.dumps(said, indent=2) + "\n").encode()
+    return (json.dumps(metadata, indent=2) + "\n").encode()
 
 
-def _config(unit: Unit, mode: Mode, mount: "Mount") -> dict[str, Any]:
+def _config(unit: Unit, mode: Mode, mount: Mount) -> dict[str, Any]:
     """How a mount's sensor is configured."""
-    layout, (first, last) = mode.layout, mode.window
+    layout = mode.layout
+    (first, last) = mode.window
     step = 360_000 / layout.columns_per_frame  # encoder angles run against the columns
     whole = (last + 1) % layout.columns_per_frame == first
     edges = [0, 360_000] if whole else [round(360_000 - last * step) % 360_000, round(360_000 - first * step) % 360_000]
@@ -332,7 +336,7 @@ def _translation(x: float, y: float, z: float) -> list[float]:
 
 
 def legacy_imu_payloads(
-    unit: Unit, mode: Mode, mount: "Mount", trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: Unit, mode: Mode, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """A packet of 48 bytes every 10 ms: three equal times, of the system and both sensors, then the values."""
     total = -(-duration_ns // IMU_PERIOD_NS)
@@ -342,17 +346,19 @@ def legacy_imu_payloads(
         packets["time_ns"] = time_ns[:, None]
         packets["acceleration_g"], packets["rate_deg_s"] = measured(mount, trajectory, _position_m(unit), time_ns)
         sent_ns = (time_ns + 500) // 1000 * 1000
-        headers, octets = unit.facts.headers, packets.view(np.uint8).reshape(len(packets), IMU_PACKET.itemsize)
-        yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first, mode.settings.fragments)
+        headers = unit.facts.headers
+        data = packets.view(np.uint8).reshape(len(packets), IMU_PACKET.itemsize)
+        yield Payloads(sent_ns, data, mount.telemetry_port, headers, headers.imu, first, mode.settings.fragments)
 
 
 def framed_imu_payloads(
-    unit: Unit, mode: Mode, mount: "Mount", trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: Unit, mode: Mode, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """Packets of profile ACCEL32_GYRO32_NMEA, which count revolutions as the lidar's do; without a sentence."""
     zero_ns, _ = phase(mode, start_ns, mount.phase_deg)
     period_ns = mode.revolution_ns // mode.imu_packets
-    begin, end = -(-(start_ns - zero_ns) // period_ns), (start_ns + duration_ns - zero_ns) // period_ns
+    begin = -(-(start_ns - zero_ns) // period_ns)
+    end = (start_ns + duration_ns - zero_ns) // period_ns
     for first in range(begin, end, CHUNK):
         number = np.arange(first, min(first + CHUNK, end))
         revolution, place = np.divmod(number, mode.imu_packets)
@@ -367,13 +373,14 @@ def framed_imu_payloads(
         acceleration_g, rate_deg_s = measured(mount, trajectory, _position_m(unit), at_ns)
         values["acceleration_m_s2"] = (acceleration_g * GRAVITY_M_S2).reshape(*sample.shape, 3)
         values["rate_rad_s"] = np.radians(rate_deg_s).reshape(*sample.shape, 3)
-        octets = packets.view(np.uint8).reshape(len(packets), FRAMED_IMU_PACKET.itemsize)
-        write_packet_headers(mode.layout, octets, PacketHeaders(revolution, mode.init, mode.serial, ALERTS))
-        octets[:, 0] = FRAMED_KIND
-        packets["crc"] = crc64(octets)
+        data = packets.view(np.uint8).reshape(len(packets), FRAMED_IMU_PACKET.itemsize)
+        write_packet_headers(mode.layout, data, PacketHeaders(revolution, mode.init, mode.serial, ALERTS))
+        data[:, 0] = FRAMED_KIND
+        packets["crc"] = crc64(data)
         sent_ns = (zero_ns + (number + 1) * period_ns + 500) // 1000 * 1000
-        headers, fragments = unit.facts.headers, mode.settings.fragments
-        yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first - begin, fragments)
+        headers = unit.facts.headers
+        fragments = mode.settings.fragments
+        yield Payloads(sent_ns, data, mount.telemetry_port, headers, headers.imu, first - begin, fragments)
 
 
 def _position_m(unit: Unit) -> Array:

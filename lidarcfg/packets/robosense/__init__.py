@@ -11,24 +11,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Measurements, Octets, Payloads, Source, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
-from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, octets_of, packets_of
+from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, bytes_of, packets_of
 from lidarcfg.packets.robosense.model import Facts, Unit, unit
-from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
+from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
 __all__ = ["Facts", "Robosense", "Unit", "unit"]
 
 
-class Robosense(RotatingSensorCodec):
+class Robosense(SequenceTiming, Codec):
     """The packets of one RoboSense sensor."""
 
     point_fields = STAMPED
@@ -37,12 +38,13 @@ class Robosense(RotatingSensorCodec):
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
 
-    def firing_schedule(self, dual: bool) -> FiringSchedule:
-        """See `RotatingSensorCodec`."""
-        return self.unit.firing_schedule(dual)
+    def firing_schedule(self, mount: Mount) -> FiringSchedule:
+        return self.unit.firing_schedule(mount.dual)
 
-    def check(self, mount: "Mount") -> None:
-        """See `Codec`."""
+    def firing_ns(self) -> Times:
+        return self.unit.firing_schedule(dual=False).since_first_ns
+
+    def check(self, mount: Mount) -> None:
         if mount.return_mode not in MODES:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
             raise ConfigError(f"{what}; a Helios sends the strongest, the last, the first, or dual")
@@ -53,32 +55,30 @@ class Robosense(RotatingSensorCodec):
 
         telemetry.difop_packets(self.unit, mount, np.zeros(1, np.int64))
 
-    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
-        """See `Codec`."""
+    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
         headers = self.unit.facts.headers
         packets = encode.encode(self.unit, mount.dual, batch, range_m, reflectivity)
-        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.msop, batch.first)
+        return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.msop, batch.first)
 
-    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
-        """See `Codec`."""
+    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, mount.dual, payloads.data)
 
     def housekeeping(
-        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
         """DIFOP packets."""
         return telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
 
-    def return_modes(self, source: Source, packets: Octets) -> Times:
-        """See `Codec`: what DIFOP packets say."""
+    def return_modes(self, source: Source, packets: Bytes) -> Times:
+        """What DIFOP packets say."""
         found = decode.return_modes(self.unit, source, packets)
         if found is not None:
             return found
-        read = decode.reading(self.unit, source, decode.undamaged(packets_of(packets)), telemetry.find_difop(source))
-        return np.full(len(packets), MODES[read.return_mode], np.int64)
+        first = decode.undamaged(packets_of(packets))
+        tables = decode.decode_tables(self.unit, source, first, telemetry.find_difop(source))
+        return np.full(len(packets), MODES[tables.return_mode], np.int64)
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
-        """See `Codec`."""
+    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
         return decode.measurements(self.unit, packets, host_ns, decode.NAMES[mode])
 
     @classmethod
@@ -87,17 +87,15 @@ class Robosense(RotatingSensorCodec):
         return size == SIZE and payload.startswith(MSOP_ID)
 
     @classmethod
-    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
-        """See `Codec`."""
+    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
         first = decode.undamaged(packets_of(packets))
         return decode.identify(source.where, first, telemetry.find_difop(source), [unit(one) for one in known()]).sensor
 
-    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
-        """See `Codec`."""
-        first, difop = decode.undamaged(packets_of(packets)), telemetry.find_difop(source)
+    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
+        first = decode.undamaged(packets_of(packets))
+        difop = telemetry.find_difop(source)
         decode.check_msop(source.where, first)
         if trusted:
             decode.check_model(source.where, self.unit, first, difop)
-        return decode.RobosenseDecoder(
-            source, decode.reading(self.unit, source, first, difop), difop is None or difop.full_fov
-        )
+        tables = decode.decode_tables(self.unit, source, first, difop)
+        return decode.RobosenseDecoder(source, tables, difop is None or difop.full_fov)

@@ -9,20 +9,9 @@ import numpy as np
 
 from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import (
-    Batch,
-    Decoder,
-    DecodeStatistics,
-    Firings,
-    Flags,
-    Measurements,
-    Octets,
-    Returns,
-    Source,
-    Times,
-)
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns, Source
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
     HELIOS,
@@ -31,13 +20,14 @@ from lidarcfg.packets.robosense.layout import (
     RADIANS,
     REVOLUTION,
     Packets,
+    bytes_of,
     lidar_type,
-    octets_of,
     packets_of,
     read_time_ns,
 )
 from lidarcfg.packets.robosense.model import Unit, byte_offsets, slots
 from lidarcfg.packets.robosense.telemetry import Difop, all_difops
+from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets that follow each other
@@ -48,7 +38,7 @@ DUAL = MODES["dual"]
 
 
 @dataclass(frozen=True)
-class Reading:
+class DecodeTables:
     """The tables by which the packets of a source are decoded."""
 
     unit: Unit
@@ -82,79 +72,76 @@ class Reading:
         return core.RobosenseDecoder(slots(unit, self.dual), lasers, schedule.period_ns, group_ns, unit.resolution_m)
 
 
-def reading(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> Reading:
+def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> DecodeTables:
     """With the DIFOP packet's angles; else the file's, if these packets (P,) are of that very model."""
     mode = difop.return_mode if difop else ""
     mode = mode or ("dual" if is_dual(unit, first) else "strongest")
-    count, sensor = unit.count, unit.sensor
+    count = unit.count
+    sensor = unit.sensor
     if difop and difop.lasers >= count:
-        return Reading(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode)
+        return DecodeTables(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode)
     missing = "its DIFOP has no angles" if difop else "no DIFOP near its start"
     model = int(first["model"][0])
     if model in unit.facts.packet.other_models:
         raise PacketError(f"{source.where}: {missing}, and those of model 0x{model:02X} are not {sensor.name}'s")
     source.on_warning(f"{source.where}: {missing}; those of {sensor.name}'s file are taken")
-    return Reading(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode)
+    return DecodeTables(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode)
 
 
 class RobosenseDecoder(Decoder):
     """Decodes the packets of one RoboSense sensor."""
 
-    def __init__(self, source: Source, reading: Reading, full_fov: bool) -> None:
-        self._where, self._reading = source.where, reading
-        self.period_ns = reading.unit.firing_schedule(reading.dual).period_ns
+    def __init__(self, source: Source, tables: DecodeTables, full_fov: bool) -> None:
+        self._where = source.where
+        self._tables = tables
+        self.period_ns = tables.unit.firing_schedule(tables.dual).period_ns
         self._counter = PacketLossCounter(self.period_ns, full_fov)
 
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
-        """See `Decoder`."""
+    def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         return read_time_ns(packets_of(packets))
 
-    def heading_rad(self, packets: Octets) -> Array:
-        """See `Decoder`."""
+    def heading_rad(self, packets: Bytes) -> Array:
         return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
 
-    def check(self, packets: Octets) -> None:
-        """See `Decoder`."""
+    def check(self, packets: Bytes) -> None:
         check_msop(self._where, packets_of(packets))
 
-    def sound(self, packets: Octets) -> Flags:
-        """See `Decoder`."""
+    def sound(self, packets: Bytes) -> Flags:
         return sound(packets_of(packets))
 
-    def count(self, packets: Octets, wanted: Flags) -> None:
-        """See `Decoder`."""
+    def count(self, packets: Bytes, wanted: Flags) -> None:
         self._counter.add(packets_of(packets), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        """See `Decoder`."""
         return DecodeStatistics(
-            (self._reading.unit.name,), (self._reading.return_mode,), self._counter.lost, self._counter.rpm
+            (self._tables.unit.name,), (self._tables.return_mode,), self._counter.lost, self._counter.rpm
         )
 
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
-        return decode(self._reading, packets, wanted)
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+        return decode(self._tables, packets, wanted)
 
 
-def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
+def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> Returns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
-    octets = np.ascontiguousarray(octets)
-    stamp_ns = read_time_ns(packets_of(octets))
-    kind = np.full(len(octets), SINGLE_KINDS[reading.return_mode], np.uint8)
-    return blocks.decode(reading.core, octets, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
+    data = np.ascontiguousarray(data)
+    stamp_ns = read_time_ns(packets_of(data))
+    kind = np.full(len(data), SINGLE_KINDS[tables.return_mode], np.uint8)
+    return blocks.decode(tables.core, data, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
 
 
-def measurements(unit: Unit, octets: Octets, host_ns: Times, return_mode: str) -> Measurements:
+def measurements(unit: Unit, data: Bytes, host_ns: Times, return_mode: str) -> Measurements:
     """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
     dual = return_mode == "dual"
-    packets, schedule = packets_of(octets), unit.firing_schedule(dual)
+    packets = packets_of(data)
+    schedule = unit.firing_schedule(dual)
     azimuth = packets["blocks"]["azimuth"]
     azimuth = azimuth[:, :: azimuth.shape[1] // (schedule.sequences // schedule.per_azimuth)].astype(np.float64)
     shape = len(packets), schedule.sequences, unit.count
     head = np.broadcast_to(np.repeat(azimuth * RADIANS, schedule.per_azimuth, axis=1)[:, :, None], shape)
     time_ns = read_time_ns(packets)[:, None, None] + schedule.offsets_ns
     laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
-    at, data = byte_offsets(unit, dual), octets_of(packets)
+    at = byte_offsets(unit, dual)
+    data = bytes_of(packets)
     high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
     distance = high.astype(np.int64) << 8 | low
     range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
@@ -162,27 +149,30 @@ def measurements(unit: Unit, octets: Octets, host_ns: Times, return_mode: str) -
     return Measurements(return_mode, batch, range_m, intensity)
 
 
-def return_modes(unit: Unit, source: Source, octets: Octets) -> Times | None:
+def return_modes(unit: Unit, source: Source, data: Bytes) -> Times | None:
     """(P,) the codes of the modes of successive packets (P, 1248); None where no DIFOP packet says any.
 
     A mode holds from the DIFOP packet that says it. Where there are dual and single returns, each packet's own layout
     says which they are, as a mode changes before a DIFOP says so.
     """
-    packets, difops = packets_of(octets), all_difops(source)
+    packets = packets_of(data)
+    difops = all_difops(source)
     difops = difops[np.isin(difops["return_mode"], list(NAMES))]
     if not len(difops):
         return None
-    at, said_ns, codes = read_time_ns(packets), read_time_ns(difops), difops["return_mode"].astype(np.int64)
+    at = read_time_ns(packets)
+    difop_ns = read_time_ns(difops)
+    codes = difops["return_mode"].astype(np.int64)
     if not ((codes == DUAL).any() and (codes != DUAL).any()):
-        return _latest(at, said_ns, codes)
+        return _latest(at, difop_ns, codes)
     single = codes != DUAL
-    return np.where(_dual(unit, packets), DUAL, _latest(at, said_ns[single], codes[single]))
+    return np.where(_dual(unit, packets), DUAL, _latest(at, difop_ns[single], codes[single]))
 
 
-def _latest(at: Times, said_ns: Times, codes: Times) -> Times:
+def _latest(at: Times, difop_ns: Times, codes: Times) -> Times:
     """(P,) the latest value at these times (P,); before the first value, that one."""
-    order = np.argsort(said_ns, kind="stable")
-    last = np.searchsorted(said_ns[order], at, side="right") - 1
+    order = np.argsort(difop_ns, kind="stable")
+    last = np.searchsorted(difop_ns[order], at, side="right") - 1
     return codes[order][np.maximum(last, 0)]
 
 
@@ -192,7 +182,8 @@ def _dual(unit: Unit, packets: Packets) -> Flags:
     if unit.count == 32:
         return np.asarray((azimuth[:, ::2] == azimuth[:, 1::2]).mean(axis=1) > 0.5)
     block = np.median(np.diff(azimuth, axis=1) % REVOLUTION, axis=1)
-    turned, gap_ns = np.diff(azimuth[:, 0]) % REVOLUTION, np.diff(read_time_ns(packets))
+    turned = np.diff(azimuth[:, 0]) % REVOLUTION
+    gap_ns = np.diff(read_time_ns(packets))
     known = gap_ns > 0
     per_ns = np.median(turned[known] / gap_ns[known]) if known.any() else REVOLUTION * 10 / SECOND_NS
     return np.asarray(block < 1.5 * per_ns * unit.firing_schedule(dual=True).sequence_ns)
@@ -206,9 +197,13 @@ class PacketLossCounter:
     """
 
     def __init__(self, period_ns: int, full_fov: bool) -> None:
-        self._period_ns, self._full_fov = period_ns, full_fov
-        self._counted, self._by_stamps, self._counts = 0, 0, False
-        self._turned, self._passed_ns = 0, 0
+        self._period_ns = period_ns
+        self._full_fov = full_fov
+        self._counted = 0
+        self._by_stamps = 0
+        self._counts = False
+        self._turned = 0
+        self._passed_ns = 0
 
     def add(self, packets: Packets, wanted: Flags) -> None:
         """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
@@ -254,10 +249,10 @@ def check_msop(where: str, packets: Packets) -> None:
     wrong = packets["id"] != MSOP_ID
     if wrong.any():
         raise PacketError(f"{where} sends packets that begin with {packets['id'][wrong][0].hex()}, not {MSOP_ID.hex()}")
-    for what, said in (("LiDAR type", lidar_type(packets)), ("model", packets["model"])):
-        if (said != said[0]).any():
-            other = said[said != said[0]][0]
-            raise PacketError(f"{where} sends {what} 0x{said[0]:02X} and 0x{other:02X}: two sensors on one port")
+    for what, values in (("LiDAR type", lidar_type(packets)), ("model", packets["model"])):
+        if (values != values[0]).any():
+            other = values[values != values[0]][0]
+            raise PacketError(f"{where} sends {what} 0x{values[0]:02X} and 0x{other:02X}: two sensors on one port")
     if lidar_type(packets)[0] != HELIOS:
         raise PacketError(f"{where} sends the LiDAR type 0x{lidar_type(packets)[0]:02X}; known: 0x{HELIOS:02X} Helios")
     ids = packets["blocks"]["id"]
@@ -288,7 +283,8 @@ def identify(where: str, packets: Packets, difop: Difop | None, known: Sequence[
 
 def check_model(where: str, unit: Unit, packets: Packets, difop: Difop | None) -> None:
     """Raises PacketError if these packets (P,) or the DIFOP packet say that they are of another model."""
-    facts, model = unit.facts.packet, int(packets["model"][0])
+    facts = unit.facts.packet
+    model = int(packets["model"][0])
     if model not in (0, facts.model, *facts.other_models):
         raise PacketError(
             f"{where} sends model 0x{model:02X}, not {unit.name}'s 0x{facts.model:02X}; "
@@ -313,7 +309,8 @@ def is_dual(unit: Unit, packets: Packets) -> bool:
 
 def _fits(unit: Unit, packets: Packets) -> bool:
     """Whether the packets' blocks and period may be the sensor's, in one of its modes."""
-    azimuth, gap_ns = packets["blocks"]["azimuth"].astype(np.int64), _gap_ns(packets)
+    azimuth = packets["blocks"]["azimuth"].astype(np.int64)
+    gap_ns = _gap_ns(packets)
     paired = bool((azimuth[:, ::2] == azimuth[:, 1::2]).mean() > 0.5)
     if unit.count == 32:
         period_ns = unit.firing_schedule(paired).period_ns

@@ -3,8 +3,8 @@
 import numpy as np
 
 from lidarcfg.core import packets as core
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Flags, Octets
+from lidarcfg.geometry import Array, Bytes, Flags
+from lidarcfg.packets.blocks import by_packet
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
     DISTANCE_MAX,
@@ -16,37 +16,42 @@ from lidarcfg.packets.robosense.layout import (
     RESOLUTION,
     REVOLUTION,
     Packets,
-    octets_of,
+    bytes_of,
     write_time,
 )
 from lidarcfg.packets.robosense.model import Unit, byte_offsets, slot_numbers
-from lidarcfg.packets.unit import matrix
+from lidarcfg.sensors.firing import Batch
 
 
-def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
+def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`."""
-    schedule, fired = unit.firing_schedule(dual), batch.firings
+    schedule = unit.firing_schedule(dual)
+    fired = batch.firings
     stamped_ns, _ = schedule.stamps_ns(fired)
     packets: Packets = np.zeros(len(stamped_ns), MSOP)
-    packets["id"], packets["version"], packets["tail"] = MSOP_ID, 1, MSOP_TAIL
-    packets["count"], packets["resolution"] = batch.number % 2**32, RESOLUTION
-    packets["type"], packets["model"] = HELIOS, unit.facts.packet.model
+    packets["id"] = MSOP_ID
+    packets["version"] = 1
+    packets["tail"] = MSOP_TAIL
+    packets["count"] = batch.number % 2**32
+    packets["resolution"] = RESOLUTION
+    packets["type"] = HELIOS
+    packets["model"] = unit.facts.packet.model
     write_time(packets, stamped_ns)
     blocks = packets["blocks"]
     blocks["id"] = BLOCK_ID
     azimuth = np.rint(schedule.head_rad(fired) / RADIANS).astype(np.int64) % REVOLUTION
     blocks["azimuth"] = np.repeat(azimuth, blocks.shape[1] // azimuth.shape[1], axis=1)
     limits = *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)
-    measured = matrix(range_m, len(packets), np.float64), matrix(reflectivity, len(packets), np.uint8)
+    measured = by_packet(range_m, len(packets), np.float64), by_packet(reflectivity, len(packets), np.uint8)
     number = np.argsort(slot_numbers(unit, dual))
-    core.write_robosense_returns(*measured, number, np.zeros(len(number)), limits, octets_of(packets))
+    core.write_robosense_returns(*measured, number, np.zeros(len(number)), limits, bytes_of(packets))
     return packets
 
 
-def sent(unit: Unit, dual: bool, octets: Octets) -> Flags:
+def sent(unit: Unit, dual: bool, data: Bytes) -> Flags:
     """(N, 1) or (N, 2): which are returns in the packets; of two equal ones, only the first."""
     at = byte_offsets(unit, dual)
-    high, low, intensity = (octets[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
+    high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
     found: Flags = (high | low) != 0
     if dual:
         found[:, 1] &= (high[:, 0] != high[:, 1]) | (low[:, 0] != low[:, 1]) | (intensity[:, 0] != intensity[:, 1])

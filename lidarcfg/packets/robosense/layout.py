@@ -8,23 +8,25 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.packets.codec import (
-    Octets,
-    Times,
-)
+from lidarcfg.geometry import Bytes, Times
 from lidarcfg.units import SECOND_NS
 
-BLOCKS, SLOTS = 12, 32  # blocks in a packet, returns in a block
+BLOCKS = 12  # in a packet
+SLOTS = 32  # returns in a block
 SIZE = 1248
-MSOP_ID, DIFOP_ID = bytes.fromhex("55aa055a"), bytes.fromhex("a5ff005a11115555")
-BLOCK_ID, MSOP_TAIL, DIFOP_TAIL = 0xFFEE, 0x00FF, 0x0FF0
+MSOP_ID = bytes.fromhex("55aa055a")
+DIFOP_ID = bytes.fromhex("a5ff005a11115555")
+BLOCK_ID = 0xFFEE
+MSOP_TAIL = 0x00FF
+DIFOP_TAIL = 0x0FF0
 HELIOS = 0x06  # the LiDAR type
 RESOLUTION = 0x01  # what is said of 2.5 mm
 REVOLUTION = 36000  # azimuth is in hundredths of a degree
 RADIANS = math.pi / 18000
 DISTANCE_MAX = 65535  # units; 0 is no return
 MODES = {"dual": 0x00, "strongest": 0x04, "last": 0x05, "first": 0x06}
-PTP, PTP_LOCKED = 0x02, 0x02  # the clock's source, and that it is synchronised
+PTP = 0x02  # the clock's source
+PTP_LOCKED = 0x02  # it is synchronised
 TIME = [("seconds", "u1", (6,)), ("microseconds", ">u4")]
 RETURN = np.dtype([("distance", ">u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("id", ">u2"), ("azimuth", ">u2"), ("returns", RETURN, (SLOTS,))])
@@ -49,13 +51,13 @@ DIFOP = np.dtype(
 Packets = NDArray[np.void]
 
 
-def packets_of(octets: Octets) -> Packets:
-    """(P,) MSOP packets of (P, 1248) octets, in the same memory."""
-    return np.ascontiguousarray(octets).view(MSOP)[:, 0]
+def packets_of(data: Bytes) -> Packets:
+    """(P,) MSOP packets of (P, 1248) bytes, in the same memory."""
+    return np.ascontiguousarray(data).view(MSOP)[:, 0]
 
 
-def octets_of(packets: Packets) -> Octets:
-    """(P, 1248) octets of packets (P,), in the same memory."""
+def bytes_of(packets: Packets) -> Bytes:
+    """(P, 1248) bytes of packets (P,), in the same memory."""
     return packets.view(np.uint8).reshape(len(packets), SIZE)
 
 

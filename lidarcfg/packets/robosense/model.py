@@ -7,12 +7,11 @@ import numpy as np
 from pydantic import Field
 
 from lidarcfg.config.models import Model
+from lidarcfg.geometry import Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import Times
-from lidarcfg.packets.network import Header, Network
+from lidarcfg.packets.facts import Firing, Header, Network, SensorInstance, check_firing
 from lidarcfg.packets.robosense.layout import BLOCK, BLOCKS, MSOP, RETURN, SLOTS
-from lidarcfg.packets.rotating import FiringSchedule
-from lidarcfg.packets.unit import Firing, SensorInstance, check_firing
+from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Sensor
 
 
@@ -52,7 +51,8 @@ class Unit(SensorInstance[Facts]):
 
     def firing_schedule(self, dual: bool) -> FiringSchedule:
         """Its firing pattern. A block holds all returns of 32 lasers once, of 16 lasers twice or dual."""
-        firing, per_block = self.facts.firing, SLOTS // self.count
+        firing = self.facts.firing
+        per_block = SLOTS // self.count
         sequences = BLOCKS * per_block // (1 + dual)
         per_azimuth = 1 if dual else per_block
         return FiringSchedule(np.array(firing.offset_ns, np.int64), firing.sequence_ns, sequences, per_azimuth)
@@ -75,7 +75,8 @@ def slot_numbers(unit: Unit, dual: bool) -> Times:
 
     With dual returns, both of 16 lasers stand in one block, one half each; of 32 lasers in two successive blocks.
     """
-    sequences, each = unit.firing_schedule(dual).sequences, unit.count
+    sequences = unit.firing_schedule(dual).sequences
+    each = unit.count
     slots = np.arange(sequences * each * (1 + dual))
     if dual:
         sequence, laser, which = np.unravel_index(slots, (sequences, each, 2))

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,15 +18,12 @@ from lidarcfg.packets.robosense.layout import (
     PTP_LOCKED,
     SIZE,
     Packets,
-    octets_of,
+    bytes_of,
     write_time,
 )
 from lidarcfg.packets.robosense.model import Unit
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
-
-if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
-
 
 SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns
 ANGLE_MAX = 9000  # hundredths of a degree
@@ -49,34 +45,38 @@ class Difop:
         return len(self.elevation_rad)
 
 
-def difop_payloads(unit: Unit, mount: "Mount", start_ns: int, duration_ns: int) -> Iterator[Payloads]:
+def difop_payloads(unit: Unit, mount: Mount, start_ns: int, duration_ns: int) -> Iterator[Payloads]:
     """The DIFOP packets of a sensor, the first before anything else and one a second from then on."""
     headers = unit.facts.headers
     times_ns = np.arange(start_ns, start_ns + duration_ns, SECOND_NS, dtype=np.int64)
     packets = difop_packets(unit, mount, times_ns)
     sent_ns = times_ns // 1000 * 1000
-    yield Payloads(sent_ns, octets_of(packets), mount.telemetry_port, headers, headers.difop)
+    yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.difop)
 
 
-def difop_packets(unit: Unit, mount: "Mount", times_ns: np.ndarray) -> Packets:
+def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
     """The DIFOP packets (n,) of these times (n,). Raises ConfigError for angles that they cannot hold."""
-    octets = np.full((len(times_ns), SIZE), UNUSED, np.uint8)
-    packets: Packets = octets.view(DIFOP)[:, 0]
+    data = np.full((len(times_ns), SIZE), UNUSED, np.uint8)
+    packets: Packets = data.view(DIFOP)[:, 0]
     headers = unit.facts.headers
     host = [int(part) for part in mount.host.split(".")]
-    packets["id"], packets["tail"] = DIFOP_ID, DIFOP_TAIL
+    packets["id"] = DIFOP_ID
+    packets["tail"] = DIFOP_TAIL
     packets["rpm"] = round(mount.rpm)
-    packets["host"], packets["destination"] = host, [int(part) for part in headers.destination_ip.split(".")]
+    packets["host"] = host
+    packets["destination"] = [int(part) for part in headers.destination_ip.split(".")]
     packets["mac"] = [*bytes.fromhex(headers.mac_prefix.replace(":", "")), *host[1:]]
     packets["serial"] = packets["mac"]
-    packets["msop_port"], packets["difop_port"] = mount.data_port, mount.telemetry_port
+    packets["msop_port"] = mount.data_port
+    packets["difop_port"] = mount.telemetry_port
     low, high = mount.azimuth_fov_deg or (0, 360)
     packets["fov"] = round(low * 100), round(high * 100)
     packets["phase"] = round(mount.phase_deg or 0) % 360
     packets["versions"] = list(bytes.fromhex(unit.facts.difop.versions))
     packets["zero"] = 0
     packets["return_mode"] = MODES[mount.return_mode]
-    packets["sync"], packets["sync_state"] = PTP, PTP_LOCKED
+    packets["sync"] = PTP
+    packets["sync_state"] = PTP_LOCKED
     write_time(packets, times_ns)
     packets["gprmc"] = 0
     beams = unit.sensor.beams
@@ -93,7 +93,8 @@ def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
         what = f"DIFOP packets cannot say {degrees[k]}; allowed: -90 to 90 in hundredths"
         raise ConfigError(f"sensor {unit.name!r}: beams.{key}[{k}]: {what}")
     out = np.empty(len(hundredths), ANGLE)
-    out["sign"], out["hundredths"] = hundredths < 0, abs(hundredths)
+    out["sign"] = hundredths < 0
+    out["hundredths"] = abs(hundredths)
     return out
 
 
@@ -101,10 +102,10 @@ def find_difop(source: Source) -> Difop | None:
     """The DIFOP packet of a source near the capture's start; of several LiDARs behind a host, by the port."""
     others: list[Packets] = []
     seen = 0
-    for octets in source.payloads(None, SIZE):
-        said = octets[: SEARCHED - seen]
-        seen += len(said)
-        found = np.ascontiguousarray(said[(said[:, :8] == list(DIFOP_ID)).all(axis=1)]).view(DIFOP)[:, 0]
+    for data in source.payloads(None, SIZE):
+        rows = data[: SEARCHED - seen]
+        seen += len(rows)
+        found = np.ascontiguousarray(rows[(rows[:, :8] == list(DIFOP_ID)).all(axis=1)]).view(DIFOP)[:, 0]
         mine = found[found["msop_port"][:, 0] == source.port]
         if len(mine):
             return _read(mine[:1])
@@ -117,18 +118,19 @@ def find_difop(source: Source) -> Difop | None:
 
 
 def all_difops(source: Source) -> Packets:
-    """All DIFOP packets of a source in a capture, in their order: see `find`."""
-    found = [octets[(octets[:, :8] == list(DIFOP_ID)).all(axis=1)] for octets in source.payloads(None, SIZE)]
-    said: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
-    mine: Packets = said[said["msop_port"][:, 0] == source.port]
+    """All DIFOP packets of a source in a capture, in their order."""
+    found = [data[(data[:, :8] == list(DIFOP_ID)).all(axis=1)] for data in source.payloads(None, SIZE)]
+    difops: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
+    mine: Packets = difops[difops["msop_port"][:, 0] == source.port]
     if len(mine):
         return mine
-    return said if len(np.unique(said["serial"], axis=0)) == 1 else said[:0]
+    return difops if len(np.unique(difops["serial"], axis=0)) == 1 else difops[:0]
 
 
 def _read(packet: Packets) -> Difop:
     """What one (1,) says."""
-    vertical, horizontal = packet["vertical"][0], packet["horizontal"][0]
+    vertical = packet["vertical"][0]
+    horizontal = packet["horizontal"][0]
     good = (vertical["sign"] <= 1) & (vertical["hundredths"] <= ANGLE_MAX)
     good &= (horizontal["sign"] <= 1) & (horizontal["hundredths"] <= ANGLE_MAX)
     count = int(np.argmin(np.append(good, False)))

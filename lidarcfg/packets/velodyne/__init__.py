@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Measurements, Octets, Payloads, Source, Times
-from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
 from lidarcfg.packets.velodyne import decode, encode, telemetry
-from lidarcfg.packets.velodyne.layout import PACKET, octets_of, packets_of
+from lidarcfg.packets.velodyne.layout import PACKET, bytes_of, packets_of
 from lidarcfg.packets.velodyne.model import Facts, Settings, Status, Unit, unit
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
+from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor, catalogue
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
@@ -30,54 +31,52 @@ __all__ = ["Facts", "Settings", "Unit", "Velodyne", "unit"]
 CALIBRATION_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
 
 
-class Velodyne(RotatingSensorCodec):
+class Velodyne(SequenceTiming, Codec):
     """The packets of one Velodyne sensor."""
 
-    facts_model, settings_model = Facts, Settings
+    facts_model = Facts
+    settings_model = Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
 
-    def firing_schedule(self, dual: bool) -> FiringSchedule:
-        """See `RotatingSensorCodec`."""
-        return self.unit.firing_schedule(dual)
+    def firing_schedule(self, mount: Mount) -> FiringSchedule:
+        return self.unit.firing_schedule(mount.dual)
 
-    def check(self, mount: "Mount") -> None:
-        """See `Codec`."""
+    def firing_ns(self) -> Times:
+        return self.unit.firing_schedule(dual=False).since_first_ns
+
+    def check(self, mount: Mount) -> None:
         encode.check_encodable(self.unit, mount.return_mode)
         mount.settings.checked(Settings)
         assert self.unit.resolution_m
         if self.unit.facts.headers is None:
             raise ConfigError(f"sensor {self.unit.name!r} cannot be exported: its file has no velodyne.headers")
 
-    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
-        """See `Codec`."""
-        headers, pps = self.unit.facts.headers, mount.settings.checked(Settings).pps
+    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
+        headers = self.unit.facts.headers
+        pps = mount.settings.checked(Settings).pps
         assert headers
         packets = encode.encode(self.unit, mount.return_mode, batch.firings, range_m, reflectivity, pps)
-        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.data, batch.first)
+        return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 
-    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
-        """See `Codec`."""
+    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, mount.return_mode, packets_of(payloads.data))
 
     def housekeeping(
-        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
-        """See `Codec`."""
         return telemetry.position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
 
-    def return_modes(self, source: Source, packets: Octets) -> Times:
-        """See `Codec`."""
+    def return_modes(self, source: Source, packets: Bytes) -> Times:
         return decode.return_modes(self.unit, packets_of(packets))
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
-        """See `Codec`."""
+    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
         return decode.measurements(self.unit, packets_of(packets), host_ns)
 
-    def packed(self, mount: "Mount", found: Measurements) -> Octets:
-        """See `Codec`; with the intensities beside no return, and azimuths of 36000."""
-        return octets_of(encode.packed(self.unit, found))
+    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
+        """With the intensities beside no return, and azimuths of 36000, as recorded."""
+        return bytes_of(encode.encode_measurements(self.unit, measured))
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:
@@ -85,16 +84,15 @@ class Velodyne(RotatingSensorCodec):
         return size == PACKET.itemsize
 
     @classmethod
-    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
-        """See `Codec`."""
+    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
         return decode.identify(source.where, packets_of(packets), _units(known)).sensor
 
-    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
-        """See `Codec`."""
+    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
         first = packets_of(packets)
         decode.check_ids(source.where, self.unit, first, trusted)
         decode.check_period(source.where, self.unit, first)
-        status, found = self.unit.packet.status, None
+        status = self.unit.packet.status
+        found = None
         if status and self.unit.name in catalogue():
             found = _embedded_calibration(source, status)
             if found is None:
@@ -103,15 +101,16 @@ class Velodyne(RotatingSensorCodec):
         return decode.VelodyneDecoder(source.where, self.unit, found, known, trusted)
 
 
-def _units(known: Known) -> Sequence[Unit]:
+def _units(known: KnownSensors) -> Sequence[Unit]:
     return [unit(sensor) for sensor in known()]
 
 
 def _embedded_calibration(source: Source, status: Status) -> EmbeddedCalibration | None:
     """The calibration in the source's own packets, and the mode of single returns."""
-    found, count = [], 0
-    for octets in source.payloads(source.port, PACKET.itemsize):
-        found.append(packets_of(octets[: CALIBRATION_PACKETS - count]))
+    found = []
+    count = 0
+    for data in source.payloads(source.port, PACKET.itemsize):
+        found.append(packets_of(data[: CALIBRATION_PACKETS - count]))
         count += len(found[-1])
         if count == CALIBRATION_PACKETS:
             break

@@ -11,29 +11,18 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import (
-    Batch,
-    Decoder,
-    DecodeStatistics,
-    Firings,
-    Flags,
-    Known,
-    Measurements,
-    Octets,
-    Returns,
-    Times,
-)
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, KnownSensors, Measurements, Returns
 from lidarcfg.packets.velodyne.layout import (
     HOUR_US,
     RADIANS,
     REVOLUTION,
     SLOTS,
     Packets,
+    bytes_of,
     device_time_ns,
     gaps_ns,
-    octets_of,
     packets_of,
 )
 from lidarcfg.packets.velodyne.model import (
@@ -44,6 +33,7 @@ from lidarcfg.packets.velodyne.model import (
 )
 from lidarcfg.packets.velodyne.model import unit as unit_of
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
+from lidarcfg.sensors.firing import Batch, Firings
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets
 STEP_MAX = 300  # hundredths of a degree between a packet's blocks, where the field of view has no gap
@@ -54,36 +44,34 @@ RETURN_MODES = "strongest", "last", "dual"
 class VelodyneDecoder(Decoder):
     """Decodes the packets of one Velodyne sensor, with the calibration in their status bytes if there is one."""
 
-    def __init__(self, where: str, unit: Unit, found: EmbeddedCalibration | None, known: Known, trusted: bool) -> None:
-        self._where, self._known, self._trusted = where, known, trusted
+    def __init__(
+        self, where: str, unit: Unit, found: EmbeddedCalibration | None, known: KnownSensors, trusted: bool
+    ) -> None:
+        self._where = where
+        self._known = known
+        self._trusted = trusted
         self._unit = found.unit(unit) if found else unit
         self.period_ns = self._unit.period_ns()
         self._last_only = found is not None and found.return_mode == "last"
         self._counter = PacketLossCounter(self._unit, self._last_only)
 
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
-        """See `Decoder`."""
+    def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         return device_time_ns(packets_of(packets)["stamp_us"], host_ns)
 
-    def heading_rad(self, packets: Octets) -> Array:
-        """See `Decoder`."""
+    def heading_rad(self, packets: Bytes) -> Array:
         return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
 
-    def check(self, packets: Octets) -> None:
-        """See `Decoder`."""
+    def check(self, packets: Bytes) -> None:
         check_ids(self._where, self._unit, packets_of(packets), self._trusted)
 
-    def count(self, packets: Octets, wanted: Flags) -> None:
-        """See `Decoder`."""
+    def count(self, packets: Bytes, wanted: Flags) -> None:
         self._counter.add(packets_of(packets), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        """See `Decoder`."""
         models = alike(self._unit, [unit_of(sensor) for sensor in self._known()])
         return DecodeStatistics(models, self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         found = decode(self._unit, packets_of(packets), host_ns, wanted, polar=False)
         if self._last_only:
             found.return_type[:] = 1
@@ -121,7 +109,8 @@ def decode(
 def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool) -> Returns:
     """The same for packets that are all dual or all single."""
     facts = unit.packet
-    order, span = slots(facts, dual), unit.span(dual)
+    order = slots(facts, dual)
+    span = unit.span(dual)
     used = packets["blocks"][:, : len(order)]
     flags = np.tile(block_flags(facts, dual), len(order) // span)
     _check(used["flag"], used["flag"] == flags, f"not a packet of {unit.name}: block flag", facts.block_flags)
@@ -130,7 +119,7 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
     last = packets["return_mode"] == modes.codes.get("last", -1) if modes else np.zeros(len(packets), np.bool_)
     return blocks.decode(
         _decoder(unit, dual),
-        octets_of(packets),
+        bytes_of(packets),
         wanted,
         device_time_ns(packets["stamp_us"], host_time_ns),
         gaps_ns(packets["stamp_us"]),
@@ -212,14 +201,15 @@ def return_modes(unit: Unit, packets: Packets) -> Times:
     return np.where(is_dual(unit.packet, packets), RETURN_MODES.index("dual"), last.astype(np.int64))
 
 
-def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Octets]:
+def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Bytes]:
     """Distances in units, 0 for no return, and intensities that the packets (P,) hold of their N firings in all.
 
     Both (N, 1), or (N, 2) with dual returns, in the order of what is encoded.
     """
     dual = return_mode == "dual"
     number = slots(unit.packet, dual)
-    order, held = np.argsort(number, axis=None), packets["blocks"]["returns"][:, : len(number)]
+    order = np.argsort(number, axis=None)
+    held = packets["blocks"]["returns"][:, : len(number)]
     distance, intensity = (
         held[key].reshape(len(packets), -1).take(order, axis=1).reshape(-1, 1 + dual)
         for key in ("distance", "intensity")
@@ -232,9 +222,11 @@ class PacketLossCounter:
 
     def __init__(self, unit: Unit, last_only: bool) -> None:
         """`last_only`: what status bytes say of single returns."""
-        self._unit, self._single = unit, "last" if last_only else "strongest"
+        self._unit = unit
+        self._single = "last" if last_only else "strongest"
         self._modes: set[str] = set()
-        self._turned, self._passed_us = 0, 0
+        self._turned = 0
+        self._passed_us = 0
         self._gaps: list[tuple[int, int]] = []  # degree before the gap, packets missing
         self._edges: Counter[int] = Counter()  # degrees where a field of view ends; two say that it does
 
@@ -246,8 +238,10 @@ class PacketLossCounter:
             self._modes |= {codes[code] for code in set(packets["return_mode"][wanted].tolist()) if code in codes}
         else:
             self._modes |= {"dual" if dual else self._single for dual in set(is_dual(facts, packets)[wanted].tolist())}
-        azimuth, stamp_us = packets["blocks"]["azimuth"].astype(np.int64), packets["stamp_us"].astype(np.int64)
-        gap_us, dual = np.diff(stamp_us) % HOUR_US, is_dual(facts, packets[:-1])
+        azimuth = packets["blocks"]["azimuth"].astype(np.int64)
+        stamp_us = packets["stamp_us"].astype(np.int64)
+        gap_us = np.diff(stamp_us) % HOUR_US
+        dual = is_dual(facts, packets[:-1])
         single_us, dual_us = (self._unit.period_ns(dual) / 1000 for dual in (False, True))
         period_us = np.where(dual, dual_us, single_us)
         gap_us = np.where(wanted[1:], gap_us, 0)

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import packets as core
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Firings, Flags, Measurements, Octets
-from lidarcfg.packets.unit import matrix
+from lidarcfg.geometry import Array, Bytes, Flags
+from lidarcfg.packets.blocks import by_packet
+from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.velodyne.decode import returned
 from lidarcfg.packets.velodyne.layout import (
     DISTANCE_MAX,
@@ -18,11 +18,12 @@ from lidarcfg.packets.velodyne.layout import (
     REVOLUTION,
     Packets,
     PpsState,
-    octets_of,
+    bytes_of,
     stamp_us,
 )
 from lidarcfg.packets.velodyne.model import Calibration, Unit, block_flags, slots
 from lidarcfg.packets.velodyne.telemetry import calibration, status_bytes
+from lidarcfg.sensors.firing import Firings
 
 
 class NearLasers(NamedTuple):
@@ -40,7 +41,7 @@ def encode(
     return_mode: str,
     fired: Firings,
     range_m: Array,
-    reflectivity: Octets,
+    reflectivity: Bytes,
     pps: PpsState = "locked",
 ) -> Packets:
     """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`.
@@ -49,7 +50,8 @@ def encode(
     """
     check_encodable(unit, return_mode)
     dual = return_mode == "dual"
-    number, span = slots(unit.packet, dual), unit.span(dual)
+    number = slots(unit.packet, dual)
+    span = unit.span(dual)
     stamped_ns, _ = unit.firing_schedule(dual).stamps_ns(fired)
     packets = np.zeros(len(stamped_ns), PACKET)
     blocks = packets["blocks"][:, : len(number)]
@@ -58,9 +60,9 @@ def encode(
     number = number.ravel()
     laser = number // (1 + dual) % unit.count
     limits = _limits(unit)
-    octets = octets_of(packets)
-    measured = matrix(range_m, len(packets), np.float64), matrix(reflectivity, len(packets), np.uint8)
-    core.write_velodyne_returns(*measured, number, unit.distance_offset_m[laser], limits, octets)
+    data = bytes_of(packets)
+    measured = by_packet(range_m, len(packets), np.float64), by_packet(reflectivity, len(packets), np.uint8)
+    core.write_velodyne_returns(*measured, number, unit.distance_offset_m[laser], limits, data)
     if unit.near_offset_m is not None:
         sensor = unit.sensor
         lasers = NearLasers(
@@ -70,17 +72,18 @@ def encode(
             distance_offset=unit.distance_offset_m,
             near_offset=unit.near_offset_m,
         )
-        azimuth = matrix(fired.encoder_rad, len(packets), np.float64)
-        core.write_velodyne_near_returns(*measured, azimuth, number, laser, lasers, limits, octets)
+        azimuth = by_packet(fired.encoder_rad, len(packets), np.float64)
+        core.write_velodyne_near_returns(*measured, azimuth, number, laser, lasers, limits, data)
     if unit.focal is not None:
-        core.uncorrect_velodyne_intensities(laser, unit.focal, octets)
+        core.uncorrect_velodyne_intensities(laser, unit.focal, data)
     packets["stamp_us"] = stamp_us(stamped_ns)
     if unit.packet.return_modes:
         packets["return_mode"] = unit.packet.return_modes.codes[return_mode]
         packets["product_id"] = unit.packet.product_id
     elif unit.packet.status:
         types, values = status_bytes(unit, unit.packet.status, return_mode, pps, stamped_ns, unit.period_ns(dual))
-        packets["return_mode"], packets["product_id"] = types, values
+        packets["return_mode"] = types
+        packets["product_id"] = values
     return packets
 
 
@@ -93,17 +96,19 @@ def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
     return found
 
 
-def packed(unit: Unit, found: Measurements) -> Packets:
+def encode_measurements(unit: Unit, measured: Measurements) -> Packets:
     """Packets (P,) of measurements, as `measurements` has them of recordings."""
     facts = unit.facts.model_copy(
         update={"calibration": Calibration(distance_offset_mm=unit.facts.calibration.distance_offset_mm)}
     )
-    plain, dual = Unit(unit.sensor, facts), found.return_mode == "dual"
-    packets = encode(plain, found.return_mode, found.batch.firings, found.range_m, found.reflectivity)
-    number, span = slots(unit.packet, dual), unit.span(dual)
+    plain = Unit(unit.sensor, facts)
+    dual = measured.return_mode == "dual"
+    packets = encode(plain, measured.return_mode, measured.batch.firings, measured.range_m, measured.reflectivity)
+    number = slots(unit.packet, dual)
+    span = unit.span(dual)
     blocks = packets["blocks"][:, : len(number)]
-    blocks["returns"]["intensity"] = found.reflectivity.reshape(len(packets), -1)[:, number]
-    azimuth = np.repeat(np.rint(unit.firing_schedule(dual).head_rad(found.batch.firings) / RADIANS), span, axis=1)
+    blocks["returns"]["intensity"] = measured.reflectivity.reshape(len(packets), -1)[:, number]
+    azimuth = np.repeat(np.rint(unit.firing_schedule(dual).head_rad(measured.batch.firings) / RADIANS), span, axis=1)
     blocks["azimuth"][azimuth == REVOLUTION] = REVOLUTION
     return packets
 

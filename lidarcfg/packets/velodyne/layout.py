@@ -10,10 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.packets.codec import (
-    Octets,
-    Times,
-)
+from lidarcfg.geometry import Bytes, Times
 from lidarcfg.units import HOUR_NS
 
 BLOCKS = 12  # in a data packet
@@ -39,13 +36,13 @@ PPS_STATES: tuple[PpsState, ...] = ("absent", "synchronising", "locked", "error"
 Packets = NDArray[np.void]
 
 
-def packets_of(octets: Octets) -> Packets:
-    """(P,) packets of (P, 1206) octets, in the same memory."""
-    return np.ascontiguousarray(octets).view(PACKET)[:, 0]
+def packets_of(data: Bytes) -> Packets:
+    """(P,) packets of (P, 1206) bytes, in the same memory."""
+    return np.ascontiguousarray(data).view(PACKET)[:, 0]
 
 
-def octets_of(packets: NDArray[np.void]) -> Octets:
-    """(P, size) octets of packets (P,), in the same memory."""
+def bytes_of(packets: NDArray[np.void]) -> Bytes:
+    """(P, size) bytes of packets (P,), in the same memory."""
     return packets.view(np.uint8).reshape(len(packets), packets.dtype.itemsize)
 
 

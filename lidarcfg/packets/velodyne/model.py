@@ -9,12 +9,10 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from lidarcfg.config.models import Model, Positive, validation_error
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Times
-from lidarcfg.packets.network import Header, Network
-from lidarcfg.packets.rotating import FiringSchedule
-from lidarcfg.packets.unit import Firing, SensorInstance, check_firing
+from lidarcfg.geometry import Array, Times
+from lidarcfg.packets.facts import Firing, Header, Network, SensorInstance, check_firing
 from lidarcfg.packets.velodyne.layout import BLOCKS, RETURNS, SLOTS, Packets, PpsState
+from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Millimetres, Sensor, check_lengths
 
 # How many blocks one firing of all lasers may take: a packet holds a whole number of them, and no fewer than two
@@ -278,7 +276,8 @@ def is_dual(facts: Packet, packets: Packets) -> NDArray[np.bool_]:
     """(P,) whether each packet holds dual returns: it says so or, where it cannot, repeats its azimuths."""
     if facts.return_modes:
         return np.asarray(packets["return_mode"] == facts.return_modes.codes.get("dual", -1))
-    azimuth, groups = packets["blocks"]["azimuth"], len(facts.block_flags)
+    azimuth = packets["blocks"]["azimuth"]
+    groups = len(facts.block_flags)
     if facts.dual is None or 2 * groups >= BLOCKS:
         return np.zeros(len(packets), np.bool_)
     return np.asarray((azimuth[:, 0] == azimuth[:, groups]) & (azimuth[:, 0] != azimuth[:, 2 * groups]))

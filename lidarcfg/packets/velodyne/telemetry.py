@@ -19,17 +19,14 @@ from pydantic import ValidationError
 
 from lidarcfg import maths
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import (
-    Payloads,
-    Times,
-)
+from lidarcfg.geometry import Array, Times
+from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.inertial import measured
 from lidarcfg.packets.velodyne.layout import (
     POSITION,
     PPS_STATES,
     PpsState,
-    octets_of,
+    bytes_of,
     stamp_us,
 )
 from lidarcfg.packets.velodyne.model import (
@@ -39,20 +36,24 @@ from lidarcfg.packets.velodyne.model import (
     Status,
     Unit,
 )
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Beams
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
 
 MARK = b"UNIT#"
-HEAD, ROW, ROWS, RECORD = 7, 7, 4, 28  # bytes; rows of a record, of which the calibration takes three
+HEAD = 7  # bytes
+ROW = 7
+ROWS = 4  # of a record, of which the calibration takes three
+RECORD = 28  # bytes
 LASERS = 64
 LENGTH = HEAD + LASERS * RECORD + 3 * ROW
-MODE_AT, WARNING_AT = LENGTH - 5, LENGTH - 4
+MODE_AT = LENGTH - 5
+WARNING_AT = LENGTH - 4
 MODES = {"strongest": 0, "last": 1, "dual": 2}
 LASER = np.dtype(
     [
@@ -99,7 +100,7 @@ class EmbeddedCalibration:
     return_mode: str  # of single returns
 
     def unit(self, example: Unit) -> Unit:
-        """The example unit with what is carried in place of its own."""
+        """The example unit with the calibration from the packets in place of its own."""
         sensor = example.sensor.model_copy(update={"beams": self.beams})
         return Unit(sensor, example.facts.model_copy(update={"calibration": self.calibration}))
 
@@ -123,8 +124,10 @@ def calibration(unit: Unit, status: Status, return_mode: str) -> bytes:
     if unit.count != LASERS:
         raise ConfigError(f"sensor {unit.name!r} has {unit.count} beams; status bytes say those of {LASERS}")
     table = np.zeros(LASERS, LASER)
-    table["id"], table["intensity_max"] = np.arange(LASERS), 255
-    beams, values = unit.sensor.beams, unit.facts.calibration
+    table["id"] = np.arange(LASERS)
+    table["intensity_max"] = 255
+    beams = unit.sensor.beams
+    values = unit.facts.calibration
     _fill(table, BEAMS, beams, f"sensor {unit.name!r}: beams")
     if not values.near_x_offset_mm:
         far = values.distance_offset_mm
@@ -153,7 +156,8 @@ def _fill(
         values = getattr(tables, key)
         if not values:
             continue
-        units, allowed = np.rint(np.array(values) * scale), np.iinfo(table[field].dtype)
+        units = np.rint(np.array(values) * scale)
+        allowed = np.iinfo(table[field].dtype)
         for k in np.flatnonzero((units < allowed.min) | (units > allowed.max)):
             low, high = sorted((allowed.min / scale, allowed.max / scale))
             what = f"{values[k]:g} is beyond what status bytes can say; allowed: {low:g} to {high:g}"
@@ -166,15 +170,18 @@ def status_bytes(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Types (P,) and values (P,) of the packets with these stamps: the same whatever packets they come with."""
     carries = calibration(unit, status, return_mode)
-    cycle, gps = len(status.letters) + ROW, getattr(status.gps, pps)
-    types, values = np.zeros(len(stamp_ns), np.uint8), np.zeros(len(stamp_ns), np.uint8)
+    cycle = len(status.letters) + ROW
+    gps = getattr(status.gps, pps)
+    types = np.zeros(len(stamp_ns), np.uint8)
+    values = np.zeros(len(stamp_ns), np.uint8)
     for i, time_ns in enumerate(stamp_ns.tolist()):
         rounds, place = divmod(time_ns // period_ns, cycle)
         if place < len(status.letters):
             letter = status.letters[place]
             now = datetime.fromtimestamp(time_ns // 10**9, UTC)
             clock = {"H": now.hour, "M": now.minute, "S": now.second, "D": now.day, "N": now.month, "Y": now.year % 100}
-            types[i], values[i] = ord(letter), (clock | {"G": gps}).get(letter, 0)
+            types[i] = ord(letter)
+            values[i] = (clock | {"G": gps}).get(letter, 0)
         else:
             at = (rounds * ROW + place - len(status.letters)) % LENGTH
             warning = status.warnings and at == WARNING_AT
@@ -230,10 +237,11 @@ def _read(table: NDArray[np.void]) -> tuple[Beams, Calibration]:
 
 
 def position_payloads(
-    unit: Unit, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+    unit: Unit, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """The position packets of a sensor that has them, evenly spaced."""
-    facts, headers = unit.facts.position_packet, unit.facts.headers
+    facts = unit.facts.position_packet
+    headers = unit.facts.headers
     if facts is None or headers is None or headers.position is None:
         return
     settings = mount.settings.checked(Settings)
@@ -247,7 +255,7 @@ def position_payloads(
         if facts.inertial:
             packets["inertial"] = inertial(facts.inertial, *measured(mount, trajectory, np.zeros(3), times_ns))
         sent_ns = (times_ns + 500) // 1000 * 1000
-        yield Payloads(sent_ns, octets_of(packets), mount.telemetry_port, headers, headers.position, first)
+        yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.position, first)
 
 
 def position_packets(time_ns: Times, pps: PpsState, nmea: Sequence[bytes]) -> NDArray[np.void]:
@@ -276,7 +284,8 @@ def sentences(
     unit: Unit, settings: Settings, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, times_ns: Times
 ) -> list[bytes]:
     """What the sensor has of its receiver at these times (n,): its last sentence, with a fix if its pulse is locked."""
-    facts, period_ns = unit.facts.position_packet, SECOND_NS // settings.fix_rate_hz
+    facts = unit.facts.position_packet
+    period_ns = SECOND_NS // settings.fix_rate_hz
     if settings.pps == "absent":
         if facts is None or facts.sentence_without_gps == "none":
             return [b""] * len(times_ns)
@@ -319,7 +328,8 @@ def gprmc(
         text = f"GPRMC,{clock},A,{place},{speed_m_s / KNOT_M_S:.3f},{course_deg:.1f},{now:%d%m%y},0.0,E,A"
     else:
         text = f"GPRMC,{clock},V,,,,,,,{now:%d%m%y},,,N"
-    body, checksum = text.encode(), 0
+    body = text.encode()
+    checksum = 0
     for byte in body:
         checksum ^= byte
     return b"$%s*%02X\r\n" % (body, checksum)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarcfg.capture.pcap import read_batches
-from lidarcfg.packets.codec import Batch, Firings
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai import telemetry
 from lidarcfg.packets.hesai.layout import device_time_ns, encoder_rad
 from lidarcfg.packets.hesai.model import Unit
+from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import load_sensor
 from tests.capture_fixtures import no_warning, recording

@@ -4,7 +4,7 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from lidarcfg.capture.export import export, in_time_order, save_companions
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.scans import scans
 from lidarcfg.io.bag import save_bag
@@ -20,9 +20,9 @@ STAMPED = np.dtype([("xyz", "<f4", 3), ("intensity", "<f4"), ("ring", "<u2"), ("
 def test_fields_as_the_makers_drivers_publish_them(tmp_path):
     mounts = (hesai("pandar-xt16"), mount(1))
     path = tmp_path / "two.pcap"
-    streams = export(Rig("two", mounts), load_scene(STREET), np.eye(4), 50_000_000)
+    streams = simulated_frames(Rig("two", mounts), load_scene(STREET), np.eye(4), 50_000_000)
     write_pcap(path, in_time_order(streams))
-    save_companions(path, mounts)
+    save_sidecar_files(path, mounts)
     save_bag(tmp_path / "bag", path, "sqlite3", Rig("two", mounts), None, lambda warning: None)
     store = get_typestore(Stores.LATEST)
     with Reader(tmp_path / "bag") as reader:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order, save_companions
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import concatenate
@@ -21,7 +21,7 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.world.motion import Motion, Trajectory, prepared, standing
+from lidarcfg.world.motion import Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, decoded, no_warning
 from tests.packets.ouster.judge import config, core, judged
@@ -64,9 +64,9 @@ def mount(model="os1-32", rpm=600.0, fov=None, phase=None, dual=False, **setting
 def exported(folder, street, one, duration_ns=100_000_000, way=T_WORLD_VEHICLE):
     """The capture, its metadata and its ground truth."""
     truth, path = [], folder / "a.pcap"
-    streams = export(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
+    streams = simulated_frames(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
-    (metadata,) = save_companions(path, [one])
+    (metadata,) = save_sidecar_files(path, [one])
     assert metadata == folder / "a.json"
     return path, metadata, np.concatenate(truth)
 
@@ -303,7 +303,7 @@ def imu(path):
 
 def test_inertial_measurements_at_rest(tmp_path, street):
     one = mount(columns=512)
-    path, metadata, _ = exported(tmp_path, street, one, way=standing(T_WORLD_VEHICLE))
+    path, metadata, _ = exported(tmp_path, street, one, way=Trajectory.static(T_WORLD_VEHICLE))
     said = imu(path)
     np.testing.assert_array_equal(said["time"][:, 0], START_NS + np.arange(10) * 10_000_000)
     up = one.T_vehicle_sensor[2, :3]  # the world's up in the sensor frame: gravity's reaction, 1 g
@@ -320,7 +320,7 @@ def test_inertial_measurements_on_an_arc(tmp_path, street):
     """On a circle: towards its centre by speed × rate, and the rate about the world's up."""
     speed, rate_deg = 8.0, 30.0
     motion = Motion.model_validate({"arc": {"speed_m_s": speed, "yaw_rate_deg_s": rate_deg}})
-    way = Trajectory(np.eye(4), prepared(motion), START_NS)
+    way = Trajectory(np.eye(4), build_path(motion), START_NS)
     one = replace(mount(columns=512), position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0))
     path, _, _ = exported(tmp_path, street, one, way=way)
     said, rate = imu(path), math.radians(rate_deg)
@@ -355,7 +355,7 @@ def test_mistakes_of_a_rig(tmp_path, street, line, message):
     path = tmp_path / "rig.yaml"
     path.write_text(f"name: r\nsensors:\n- {{name: a, model: os1-32, position_m: [0, 0, 2], {line}}}\n")
     with pytest.raises(ConfigError, match=message):
-        export(load_rig(path), street, T_WORLD_VEHICLE, 10**9)
+        simulated_frames(load_rig(path), street, T_WORLD_VEHICLE, 10**9)
 
 
 def test_a_rig_of_two_makers(tmp_path):
@@ -389,7 +389,7 @@ def test_inertial_packets_of_firmware_3(tmp_path, street, rpm):
     """As ouster-sdk reads them: in its units, 640 a second, by the columns of each frame, with the frame's number and a CRC."""
     speed, rate_deg = 8.0, 30.0
     motion = Motion.model_validate({"arc": {"speed_m_s": speed, "yaw_rate_deg_s": rate_deg}})
-    way = Trajectory(np.eye(4), prepared(motion), START_NS)
+    way = Trajectory(np.eye(4), build_path(motion), START_NS)
     one = mount(columns=512, rpm=rpm, firmware="3.2", imu_profile="ACCEL32_GYRO32_NMEA")
     one = replace(one, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0))
     path, metadata, _ = exported(tmp_path, street, one, 200_000_000, way=way)

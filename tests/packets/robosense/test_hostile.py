@@ -1,4 +1,4 @@
-"""Packets with octets changed at random: a cloud or one line, never a crash, never points that are not finite."""
+"""Packets with bytes changed at random: a cloud or one line, never a crash, never points that are not finite."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ MOST_M = 65535 * 0.0025 + 0.035
 
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 @pytest.mark.parametrize("model", ["helios-16p", "helios-32"])
-def test_changed_octets(model, mode, tmp_path):
+def test_changed_bytes(model, mode, tmp_path):
     rng, of, path = np.random.default_rng(7), mount(model, return_mode=mode), tmp_path / "drive.pcap"
     maker = codec(of.sensor)
     batch = next(maker.schedule(of, START_NS, 40, 40))

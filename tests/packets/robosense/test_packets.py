@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import check_exportable, export, in_time_order
+from lidarcfg.capture.export import check_exportable, in_time_order, simulated_frames
 from lidarcfg.capture.pcap import Datagram, write_pcap
 from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import concatenate
@@ -31,7 +31,9 @@ boxes:
 def exported(tmp_path, mounts, duration_s=0.25, start_ns=START_NS):
     path, truth = tmp_path / "a.pcap", []
     rig, way = Rig("rig", tuple(mounts)), np.eye(4)
-    streams = export(rig, scene(tmp_path, SCENE), way, round(duration_s * 1e9), start_ns, on_truth=truth.append)
+    streams = simulated_frames(
+        rig, scene(tmp_path, SCENE), way, round(duration_s * 1e9), start_ns, on_truth=truth.append
+    )
     write_pcap(path, in_time_order(streams))
     return path, rig, np.concatenate(truth)
 

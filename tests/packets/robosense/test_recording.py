@@ -10,9 +10,9 @@ import pytest
 
 from lidarcfg.capture.pcap import Datagram
 from lidarcfg.errors import PacketError
-from lidarcfg.packets.codec import Batch, Firings
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.robosense.model import unit
+from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.sensors.sensor import load_sensor
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, recording, write_datagrams
 from tests.naive import robosense as naive

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarcfg.geometry import directions
-from lidarcfg.packets import rotating
-from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.velodyne import decode as decoding
 from lidarcfg.packets.velodyne import encode as encoding
 from lidarcfg.packets.velodyne.model import unit
+from lidarcfg.sensors import schedule
+from lidarcfg.sensors.firing import Firings
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def shaped(sensor, fired, dual=False):
 
 
 def firings(sensor, rpm, start_ns, packets, dual=False, phase_deg=None):
-    return shaped(sensor, rotating.firings(unit(sensor).firing_schedule(dual), rpm, start_ns, packets, phase_deg), dual)
+    return shaped(sensor, schedule.firings(unit(sensor).firing_schedule(dual), rpm, start_ns, packets, phase_deg), dual)
 
 
 def rays(sensor, fired):

@@ -12,7 +12,7 @@ import velodyne_decoder as vd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.frames import Frames, frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
@@ -22,7 +22,7 @@ from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.packets.velodyne.telemetry import calibration
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
-from lidarcfg.simulate.tasks import START_NS, Run
+from lidarcfg.simulate.tasks import START_NS, SimulationOptions
 from lidarcfg.units import SECOND_NS
 from tests.capture_fixtures import datagrams_of, hdl_64e, mount, recording, scene
 from tests.naive import capture as naive
@@ -131,7 +131,7 @@ def test_every_layout_is_the_twins(sensor, mode):
     st.binary(min_size=1, max_size=40),
 )
 def test_frames_are_the_twins(name, position, host, port, number, time_us, payload):
-    """Lengths, checksums and ids, whatever is sent; an odd octet at the end is summed too."""
+    """Lengths, checksums and ids, whatever is sent; an odd byte at the end is summed too."""
     headers = facts(load_sensor(name)).headers
     header = headers.position if position and headers.position else headers.data
     octets = np.frombuffer(payload, np.uint8)[None]
@@ -190,7 +190,9 @@ def test_models_without_headers(tmp_path):
     rig = "name: r\nsensors: [{name: s, model: a.yaml, position_m: [0, 0, 2]}]"
     (tmp_path / "rig.yaml").write_text(rig)
     with pytest.raises(ConfigError, match=r"s: sensor 'vlp-16' cannot be exported: its file has no velodyne\.headers"):
-        export(load_rig(tmp_path / "rig.yaml"), scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), SECOND_NS)
+        simulated_frames(
+            load_rig(tmp_path / "rig.yaml"), scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), SECOND_NS
+        )
     lines = text.splitlines(keepends=True)
     (tmp_path / "a.yaml").write_text("".join(line for line in lines if "position: {ttl" not in line))
     with pytest.raises(
@@ -221,7 +223,9 @@ def test_states_of_the_pulse(tmp_path, model, pps, status, sentence):
     rig = f"name: r\nsensors: [{{name: s, model: {model}, position_m: [0, 0, 2], velodyne: {{pps: {pps}}}}}]"
     (tmp_path / "rig.yaml").write_text(rig)
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
-    write_pcap(tmp_path / "a.pcap", export(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), 3 * SECOND_NS // 2)[0])
+    write_pcap(
+        tmp_path / "a.pcap", simulated_frames(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), 3 * SECOND_NS // 2)[0]
+    )
     sent = [d.payload for d in datagrams_of(tmp_path / "a.pcap") if d.port == 8308]
     assert len(sent) == math.ceil(1.5 * facts(load_sensor(model)).position_packet.rate_hz)
     read = [vd.TelemetryPacket(payload) for payload in sent]
@@ -242,7 +246,9 @@ def test_states_of_the_pulse_in_status_bytes(tmp_path, name, pps, value):
         f"name: r\nsensors: [{{name: s, model: {name}, position_m: [0, 0, 2], velodyne: {{pps: {pps}}}}}]"
     )
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
-    write_pcap(tmp_path / "a.pcap", export(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS // 50)[0])
+    write_pcap(
+        tmp_path / "a.pcap", simulated_frames(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS // 50)[0]
+    )
     sent = [d.payload for d in datagrams_of(tmp_path / "a.pcap")]
     assert {payload[1205:] for payload in sent if payload[1204:1205] == b"G"} == {value}
     assert {len(payload) for payload in sent} == {1206}
@@ -263,7 +269,7 @@ def test_what_a_receiver_cannot_be(tmp_path, said, message):
     (tmp_path / "rig.yaml").write_text(text)
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
     with refused(message, rf"^{tmp_path}/rig\.yaml:2:\d+: sensors\[0\]\.velodyne\.", ConfigError):
-        export(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS)
+        simulated_frames(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS)
 
 
 @given(
@@ -301,6 +307,8 @@ def test_threads_do_not_matter(tmp_path, threads):
         "boxes: [{name: b, center_m: [9, 0, 1], size_m: [2, 9, 2], reflectivity: 9, motion: {velocity_m_s: [1, 0, 0]}}]"
     )
     stage = scene(tmp_path, f"ground: {{reflectivity: 9}}\n{box}")
-    for name, run in (("a", Run()), ("b", Run(threads=threads, chunk_ns=9_000_000))):
-        write_pcap(tmp_path / name, in_time_order(export(rig, stage, np.eye(4), SECOND_NS // 8, run=run)))
+    for name, options in (("a", SimulationOptions()), ("b", SimulationOptions(threads=threads, chunk_ns=9_000_000))):
+        write_pcap(
+            tmp_path / name, in_time_order(simulated_frames(rig, stage, np.eye(4), SECOND_NS // 8, options=options))
+        )
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

@@ -11,7 +11,7 @@ from lidarcfg.packets.families import codec
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.geodesy import GeoOrigin
-from lidarcfg.world.motion import Motion, Trajectory, prepared
+from lidarcfg.world.motion import Motion, Trajectory, build_path
 from tests.capture_fixtures import AT_NS, datagrams_of, mount, recording
 
 KINDS = [0, 1, 2, 3] * 3  # gyroscope, temperature, accelerometer x, y
@@ -39,7 +39,7 @@ def sent(trajectory, rpy_deg=(0.0, 0.0, 0.0), model="hdl-32e"):
 
 
 def moving(**motion):
-    return Trajectory(np.eye(4), prepared(Motion.model_validate(motion)), AT_NS)
+    return Trajectory(np.eye(4), build_path(Motion.model_validate(motion)), AT_NS)
 
 
 def test_a_recording_at_rest():

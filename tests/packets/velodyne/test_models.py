@@ -14,12 +14,12 @@ from lidarcfg.capture.pcap import read_datagrams
 from lidarcfg.capture.stream import SourceStats
 from lidarcfg.clouds.cloud import FIELDS, concatenate
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.velodyne.decode import measurements
-from lidarcfg.packets.velodyne.encode import packed
+from lidarcfg.packets.velodyne.encode import encode_measurements
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.packets.velodyne.model import unit as unit_of
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from tests.capture_fixtures import AT_NS, decoded, mount, no_warning, recording
@@ -263,7 +263,7 @@ def test_recorded_packets_encode_to_the_same_bytes(name):
     datagrams = [d for d in read_datagrams(recording(f"{name}.pcap"), no_warning) if len(d.payload) == 1206]
     packets = np.frombuffer(b"".join(d.payload for d in datagrams), PACKET)
     found = measurements(unit_of(sensor), packets, np.array([d.time_ns for d in datagrams]))
-    again, expected = packed(unit_of(sensor), found), packets.copy()
+    again, expected = encode_measurements(unit_of(sensor), found), packets.copy()
     full_turns = expected["blocks"]["azimuth"] >= 36000
     assert full_turns.sum() == (name == "veloview_hdl32e_monterey")
     if name == "jerry_vlp16":

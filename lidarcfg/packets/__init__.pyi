@@ -1,0 +1,8 @@
+from .codec import Codec as Codec
+from .codec import Decoder as Decoder
+from .codec import Payloads as Payloads
+from .codec import Returns as Returns
+from .families import FAMILIES as FAMILIES
+from .families import family as family
+from .families import pattern as pattern
+from .families import timing as timing
