@@ -169,7 +169,7 @@ class ObjectJudge:
                 places=len(tried.every.places),
                 base_m=(item.stand.near_step_m, item.stand.far_step_m),
                 finest_m=tried.finest_m,
-                finest_deg=math.degrees(tried.finest_rad),
+                finest_deg=round(math.degrees(tried.finest_rad), 9),
             ),
             notes=tuple(notes),
         )
