@@ -204,10 +204,11 @@ class RequirementsRun(SearchRun):
             added = True
         return added
 
-    def placement(self, interrupted: bool) -> Placement:
+    def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
         """The result: the best rig; where that fails at refined places alone, the best that was verified."""
         x = self.best_x
-        verdict = self.verdict_on(x) if math.isfinite(self.best_cost) else Verdict(())
+        if verdict is None:
+            verdict = self.verdict_on(x) if math.isfinite(self.best_cost) else Verdict(())
         remarks = []
         if meets(self.best_cost) and not verdict.passed:
             what = "the best rig met all requirements at the base grid's places, but not at those between"
@@ -224,10 +225,10 @@ class RequirementsRun(SearchRun):
         if self._restarts:
             places = sum(len(one) for one in self._more_places.values())
             remarks.append(f"{places} places between those of the base grid were added to it, where rigs failed")
-        found = super().placement(interrupted)
+        found = super().placement(interrupted, verdict)
         poses = self.study.poses(x[None])[0]
         if self.study.seeks_margin:
             objective = verdict.least_margin
         else:
             objective = readable(self.best_cost) if meets(self.best_cost) else self.study.cost(poses)
-        return replace(found, objective=objective, verdict=verdict, remarks=tuple(remarks))
+        return replace(found, objective=objective, remarks=tuple(remarks))

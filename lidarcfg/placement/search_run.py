@@ -17,11 +17,14 @@ from lidarcfg.placement.metric import max_vsr
 from lidarcfg.placement.solvers.search import Search, Trials, checked
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
-from lidarcfg.placement.study_file import Solver
+from lidarcfg.placement.study_file import COORDINATES, Solver
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Rig
 
 INFEASIBLE = 1e6  # cost of a rig that violates the constraints, times 1 + the violation
+
+
+AT_BOUND = 1e-6  # metres and radians from it
 
 
 @dataclass(frozen=True)
@@ -67,9 +70,13 @@ class Placement:
     log: Log
     seconds: float
     interrupted: bool
-    verdict: Verdict | None = None  # of a study with requirements
     remarks: tuple[str, ...] = ()  # what the verdict does not say of the search
-    at_bounds: tuple[str, ...] = ()  # coordinates of sensors that end at a bound, with it
+    at_bounds: tuple[str, ...] = ()  # coordinates that ended at a bound, with it
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the rig meets the study's requirements; None: it has none."""
+        return self.evaluation.verdict
 
 
 @dataclass(frozen=True)
@@ -271,8 +278,11 @@ class SearchRun:
             self._told.append(cost)
         return cost
 
-    def placement(self, interrupted: bool) -> Placement:
-        """The result. Raises KeyboardInterrupt if there is none yet, ConfigError if no rig meets the constraints."""
+    def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
+        """The result; `verdict` as in evaluate.
+
+        Raises KeyboardInterrupt if there is none yet, ConfigError if no rig meets the constraints.
+        """
         if not math.isfinite(self.best_cost):
             raise KeyboardInterrupt
         if self.best_cost >= INFEASIBLE:
@@ -284,7 +294,7 @@ class SearchRun:
         midpoint = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
         return Placement(
             rig=rig,
-            evaluation=evaluate(study, rig),
+            evaluation=evaluate(study, rig, verdict=verdict),
             objective=self.best_cost,
             midpoint_max_vsr_m=midpoint,
             history=tuple(self.history),
@@ -298,7 +308,19 @@ class SearchRun:
             log=log,
             seconds=log.seconds,
             interrupted=interrupted,
+            at_bounds=at_bounds(study, study.poses(self.best_x[None])[0]),
         )
+
+
+def at_bounds(study: Study, poses: Array) -> tuple[str, ...]:
+    """The coordinates of poses (slots, 6) that could vary and are at a bound: each with its sensor and the bound."""
+    found = []
+    for i, k in np.argwhere(study.free).tolist():
+        for bound, end in ((study.lower[i, k], "least"), (study.upper[i, k], "most")):
+            if abs(poses[i, k] - bound) <= AT_BOUND:
+                value = f"{math.degrees(bound):.6g}°" if k >= 3 else f"{bound:.6g} m"
+                found.append(f"{study.slots[i].name}: {COORDINATES[k]} is at its {end}, {value}")
+    return tuple(found)
 
 
 def costs(

@@ -4,6 +4,7 @@ Workers are processes on this machine, or a Dask cluster.
 """
 
 import logging
+import math
 import multiprocessing
 import os
 import pickle
@@ -27,6 +28,7 @@ from lidarcfg.placement.plan import Plan, SweepCase, versions
 from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study, with_solver
 from lidarcfg.placement.study_file import Solver, StudyFile
+from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Rig
 
 ADDRESS = re.compile(r"(tcp|tls)://[^\s/]+:\d{1,5}")
@@ -267,8 +269,17 @@ def figures(found: Placement) -> dict[str, float | int | None]:
         "max_vsr_m": evaluation.max_vsr_m,
         "evaluations": found.evaluations,
         **{f"detection.{name}": one.rate for name, one in evaluation.detection.items()},
+        **_verdict_figures(evaluation.verdict),
         **{f"seen_by.{count}": float(part) for count, part in enumerate(volume / volume.sum())},
     }
+
+
+def _verdict_figures(found: Verdict | None) -> dict[str, float | int | None]:
+    """Whether all requirements are met, and the margin of each; 1: they are."""
+    if found is None:
+        return {}
+    margins = {f"margin.{one.name}": one.margin if math.isfinite(one.margin) else None for one in found.requirements}
+    return {"pass": int(found.passed), **margins}
 
 
 def sweep(plan: Plan, runs: Iterable[SweepCase], workers: Workers, done: Callable[[SweepCase, Outcome], None]) -> None:

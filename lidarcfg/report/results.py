@@ -55,6 +55,7 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "skipped": {"rigs": 1, "full_evaluations": 0, "cuboids": 0, "segments": 0},
         "rig": rig_to_dict(rig),
         "study": study.file,
+        **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
     }
 
 
@@ -92,7 +93,9 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
     rigs = found.evaluated * study.rigs[0]
     cut = study.objective_cuts
     return evaluation_dict(study, found.rig, evaluation) | {
-        "objective": found.objective,
+        "objective": found.objective if math.isfinite(found.objective) else None,
+        "at_bounds": list(found.at_bounds),
+        **({"remarks": list(found.remarks)} if found.remarks else {}),
         "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
         "evaluations": found.evaluations,
         "first_evaluations": found.first_evaluations,

@@ -66,8 +66,8 @@ class Requirements:
     @property
     def lost(self) -> int:
         """The most sensors that fail in any of them."""
-        kinds = ObjectRequirement | PostRequirement | ShadowRequirement
-        return max((item.lost for item in self.items if isinstance(item, kinds)), default=0)
+        fixed = PriceRequirement | SensorsRequirement
+        return max((item.lost for item in self.items if not isinstance(item, fixed)), default=0)
 
     def too_dear(self, price: float, sensors: int) -> bool:
         """Whether rigs of that price and number of sensors exceed what is allowed, wherever their sensors are."""

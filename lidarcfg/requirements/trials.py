@@ -21,6 +21,7 @@ from lidarcfg.requirements.posts import PostRequirement
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.robustness import mounted
+from lidarcfg.requirements.scenarios import ScenarioRequirement
 from lidarcfg.requirements.sensors import scanners_of
 from lidarcfg.requirements.shadow import ShadowRequirement
 from lidarcfg.sensors.rig import Mount
@@ -44,6 +45,7 @@ Flags = NDArray[np.bool_]
 class SensorAt:
     """A sensor at a pose, and what is known of it for each requirement's places."""
 
+    mount: Mount
     scanner: core.returns.Scanner
     R: Array  # (3, 3)
     t: Array  # (3,)
@@ -93,6 +95,8 @@ class ObjectTrials:
         number = np.unique(self.places[:, :2], axis=0, return_inverse=True)[1].ravel().astype(np.int64)
         count = int(number.max()) + 1
         return number, math.ceil(self._item.at_least * count - 1e-9)
+
+    is_drawn = True  # whether mounting errors count
 
     @property
     def kept_bytes(self) -> int:
@@ -245,18 +249,25 @@ class ObjectTrials:
         return reached(found, item.lost, item.sensors)
 
 
-class SightTrials:
-    """How far rigs miss a requirement of what they see, not of what returns: posts and the shadow."""
+class WholeTrials:
+    """How far rigs miss a requirement that is judged as a whole: of posts, the shadow or a scenario."""
 
-    def __init__(self, number: int, item: PostRequirement | ShadowRequirement) -> None:
+    def __init__(self, number: int, item: PostRequirement | ShadowRequirement | ScenarioRequirement) -> None:
         self.number = number
         self._item = item
+        self.is_drawn = not isinstance(item, ScenarioRequirement)  # whether mounting errors count
+        self._judged: dict[tuple[int, ...], tuple[float, float]] = {}  # of this batch
 
     @property
     def kept_bytes(self) -> int:
         """Of memory for a sensor at a pose."""
-        item = self._item
-        return 4 * len(item.posts.counted) if isinstance(item, PostRequirement) else len(item.points_m)
+        match self._item:
+            case PostRequirement() as item:
+                return 4 * len(item.posts.counted)
+            case ShadowRequirement() as item:
+                return len(item.points_m)
+            case _:
+                return 0
 
     def know(self, sensor: SensorAt) -> None:
         """Prepare what is known of a sensor. Not while threads are at work."""
@@ -265,7 +276,8 @@ class SightTrials:
             sensor.counts[self.number] = np.full(len(item.posts.counted), -1, np.int32)
 
     def learn(self) -> None:
-        """Learns nothing."""
+        """Called after every batch of trials."""
+        self._judged.clear()
 
     def bounds(self, sensors: SensorsAt, stops: bool = True) -> Iterator[float]:
         """The shortfall; 0 before, as a bound."""
@@ -279,8 +291,17 @@ class SightTrials:
 
     def _figures(self, sensors: SensorsAt) -> tuple[float, float]:
         """The shortfall and the relative margin."""
+        key = tuple(map(id, sensors))
+        if key not in self._judged:
+            self._judged[key] = self._judge(sensors)
+        return self._judged[key]
+
+    def _judge(self, sensors: SensorsAt) -> tuple[float, float]:
         item = self._item
         n = self.number
+        if isinstance(item, ScenarioRequirement):
+            verdict = item.judge([one.mount for one in sensors])
+            return verdict.shortfall, verdict.relative_margin
         if isinstance(item, ShadowRequirement):
             for one in sensors:
                 if n not in one.seen:
@@ -332,12 +353,13 @@ class RigTrials:
         self._scanners = scanners_of(mounts)
         plain = [replace(mount, name="", host="", data_port=0, telemetry_port=0) for mount in mounts]
         still = [replace(mount, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0)) for mount in plain]
+        self._mounts = plain
         self._kinds = [still.index(one) for one in still]  # sensors of a kind are alike but for their poses
         robust = requirements.robust
         self._robust = robust if robust and robust.drawn else None
         self._errors = self._robust.errors(len(mounts)) if self._robust else np.empty((0, len(mounts), 6))
         self._fixed_by = [0.0] * len(requirements.items)  # shortfalls that no pose changes
-        self._parts: list[ObjectTrials | SightTrials] = []
+        self._parts: list[ObjectTrials | WholeTrials] = []
         for number, item in enumerate(requirements.items):
             if isinstance(item, PriceRequirement | SensorsRequirement):
                 self._fixed_by[number] = item.judge(mounts).shortfall
@@ -345,7 +367,7 @@ class RigTrials:
                 more = (more_places or {}).get(number)
                 self._parts.append(ObjectTrials(number, item, requirements.site.obstacles, len(mounts), more))
             else:
-                self._parts.append(SightTrials(number, item))
+                self._parts.append(WholeTrials(number, item))
         self._fixed = sum(self._fixed_by)
         self._known: OrderedDict[tuple[int, bytes], SensorAt] = OrderedDict()
         self._most = max(KEPT_BYTES // max(sum(part.kept_bytes for part in self._parts), 1), KEPT_MIN)
@@ -366,7 +388,10 @@ class RigTrials:
         key = self._kinds[s], (pose + 0.0).tobytes()
         known = self._known.get(key)
         if known is None:
-            known = self._known[key] = SensorAt(self._scanners[s], rotation(pose[3:]), pose[:3].copy())
+            x, y, z, roll, pitch, yaw = pose.tolist()
+            mount = replace(self._mounts[s], position_m=(x, y, z), rpy_rad=(roll, pitch, yaw))
+            known = SensorAt(mount, self._scanners[s], rotation(pose[3:]), pose[:3].copy())
+            self._known[key] = known
         self._known.move_to_end(key)
         for part in self._parts:
             part.know(known)
@@ -390,6 +415,8 @@ class RigTrials:
                 if stops and sum(values, self._fixed) >= limit:
                     return math.inf
         for n, part in enumerate(self._parts) if self._robust else ():
+            if not part.is_drawn:
+                continue
             values[n] = max(values[n], self._quantile([_last(part.bounds(one, False)) for one in rig.off]))
             if stops and sum(values, self._fixed) >= limit:
                 return math.inf
@@ -401,7 +428,7 @@ class RigTrials:
         found = list(self._fixed_by)
         for part in self._parts:
             value = _last(part.bounds(rig.at_rest, False))
-            if self._robust:
+            if self._robust and part.is_drawn:
                 value = max(value, self._quantile([_last(part.bounds(one, False)) for one in rig.off]))
             found[part.number] = value
         return tuple(found)
@@ -415,7 +442,7 @@ class RigTrials:
         value = 0.0
         for part in self._parts:
             value = max(value, part.tightness(rig.at_rest, bound))
-            if self._robust and value < bound:
+            if self._robust and part.is_drawn and value < bound:
                 value = max(value, self._quantile([part.tightness(one) for one in rig.off]))
             if value >= bound:
                 return math.inf
