@@ -66,6 +66,7 @@ class Study:
     visibility: Visibility | None = None  # None: every LiDAR sees everything, as in the paper
     robust: Robust | None = None  # what a rig has to withstand
     requirements: Requirements | None = None  # what a rig must see
+    seeks_margin: bool = False  # whether a search widens the least margin, as requirements come without an objective
     zones: tuple[Zone, ...] = ()
     detection_targets: tuple[DetectionTarget, ...] = ()  # the objects that are detected by returns
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
@@ -102,7 +103,7 @@ class Study:
 
         1 is exactly upper, except for angles that attitudes.py arranges.
         """
-        return self._repaired(self._coordinates(center_on_upright(unit, self._freely_tilted)))
+        return self._repaired(self._coordinates(center_on_upright(unit, self.freely_tilted)))
 
     @cached_property
     def midpoint(self) -> Array:
@@ -115,7 +116,7 @@ class Study:
         return poses
 
     @cached_property
-    def _freely_tilted(self) -> NDArray[np.int64]:
+    def freely_tilted(self) -> NDArray[np.int64]:
         """(n, 2) free coordinates, see attitudes.py; none for the paper's solver, which has the paper's coordinates."""
         free = self.free & (self.solver.method != "abc")
         return freely_tilted([slot.lidar for slot in self.slots], self.lower, self.upper, free)
@@ -335,6 +336,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
         visibility=seen,
         robust=file.robust,
         requirements=_requirements(file, found, slots, region, bodies, seen, path),
+        seeks_margin=bool(found) and "objective" not in file.model_fields_set,
         zones=zones,
         detection_targets=detection_targets,
         file=_resolved(file, found, slots.slots, choices, path),
@@ -423,6 +425,8 @@ def _resolved(
             elif slot.model is not None:
                 group["model"] = slot.model
     del values["requirements"]
+    if found and "objective" not in file.model_fields_set:
+        del values["objective"]
     if found:
         values["requirements"] = [whole_values(one.item, one.path.parent) for one in found]
     if file.prices:
