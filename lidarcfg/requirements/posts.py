@@ -23,6 +23,7 @@ from lidarcfg.requirements.sensors import OnPlaces, lowest_at, misplaced, no_pro
 from lidarcfg.requirements.target import box_target
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
 from lidarcfg.sensors.rig import Mount
+from lidarcfg.simulate.returns import Target
 from lidarcfg.world.obstacles import Obstacles
 
 AZIMUTHS = 360
@@ -196,6 +197,15 @@ class PostRequirement:
     lost: int = 0
     robust: Robust | None = None
 
+    @cached_property
+    def target(self) -> Target:
+        """The post."""
+        return box_target((WIDTH_M, WIDTH_M, self.height_m))
+
+    def visibility(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> PostVisibility:
+        """Where a rig sees the post, also with sensors lost."""
+        return post_visibility(self.posts, self.height_m, mounts, self.obstacles, self.lost, self.limit_m, on_places)
+
     @property
     def work(self) -> int:
         """The number of places at which rigs are measured, for progress."""
@@ -211,7 +221,7 @@ class PostRequirement:
         return min(found, key=lambda one: one.relative_margin)
 
     def _judged(self, mounts: Sequence[Mount], on_places: OnPlaces) -> RequirementVerdict:
-        seen = post_visibility(self.posts, self.height_m, mounts, self.obstacles, self.lost, self.limit_m, on_places)
+        seen = self.visibility(mounts, on_places)
         limits = {
             "first seen": (self.first_seen_at_most_m, seen.first_seen_m, seen.first_seen_m),
             "longest gap": (self.gap_at_most_m, seen.longest_gap_m, seen.longest_gap_at_m),
