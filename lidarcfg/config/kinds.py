@@ -10,6 +10,7 @@ DISCRIMINATING_KEYS = {  # keys that only one kind has; the first kind that matc
     "capture manifest": {"rig", "scene", "duration_s"},
     "plan": {"vary", "together"},
     "study": {"region"},
+    "scenario": {"target"},
     "trajectory": MOTIONS,
     "scene": {"ground", "weather", "geo_origin", "height_fields", "models", "surfels"},
     "vehicle": {"allow_inside"},

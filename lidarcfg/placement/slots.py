@@ -118,6 +118,19 @@ class Slots:
     upper: Array  # (slots, 6)
     mirror: Array  # (slots,)
 
+    @property
+    def boxes_m(self) -> list[tuple[Array, Array]] | None:
+        """The lower and the upper corner (3,) of the box in which each may be; None if some sit on a surface."""
+        if any(slot.surface for slot in self.slots):
+            return None
+        out = []
+        for low, high, y_m in zip(self.lower[:, :3], self.upper[:, :3], self.mirror, strict=True):
+            corners = np.stack([low, high])
+            if not math.isnan(y_m):
+                corners[:, 1] = 2 * y_m - corners[::-1, 1]
+            out.append((corners[0], corners[1]))
+        return out
+
 
 def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, path: Path) -> Slots:
     """The slots of a file's groups; `choices` by group. Raises ConfigError."""

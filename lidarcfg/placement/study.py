@@ -24,6 +24,7 @@ from lidarcfg.placement.return_counts import DetectionTarget, detection_target, 
 from lidarcfg.placement.slots import (
     Choices,
     Slot,
+    Slots,
     center_on_upright,
     check_bounds,
     choices_of,
@@ -326,7 +327,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
         surroundings=surroundings,
         visibility=seen,
         robust=file.robust,
-        requirements=_requirements(file, found, slots.slots, region, bodies, seen, path),
+        requirements=_requirements(file, found, slots, region, bodies, seen, path),
         zones=zones,
         detection_targets=detection_targets,
         file=_resolved(file, found, slots.slots, choices, path),
@@ -383,7 +384,7 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
 def _requirements(
     file: StudyFile,
     found: Sequence[Source],
-    slots: tuple[Slot, ...],
+    slots: Slots,
     region: Region,
     bodies: Vehicle | None,
     seen: Visibility | None,
@@ -395,10 +396,11 @@ def _requirements(
     prices = {model_name(name, path.parent): price for name, price in (file.prices or {}).items()}
     obstacles = seen.obstacles if seen else NO_OBSTACLES
     ground_m = obstacles.ground_m if math.isfinite(obstacles.ground_m) else float(region.min_m[2])
-    models = [choice.model for slot in slots for choice in slot.choices if choice] or [
-        slot.model or "" for slot in slots
+    models = [choice.model for slot in slots.slots for choice in slot.choices if choice] or [
+        slot.model or "" for slot in slots.slots
     ]
-    return resolved(found, Site.of(bodies, obstacles, ground_m), file.robust, prices, len(slots), models)
+    site = Site.of(bodies, obstacles, ground_m, slots.boxes_m)
+    return resolved(found, site, file.robust, prices, len(slots.slots), models)
 
 
 def _resolved(

@@ -18,6 +18,7 @@ from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
 from lidarcfg.report.describe import counted
 from lidarcfg.requirements.requirements import load_requirements
+from lidarcfg.requirements.scenario import scenario_in
 from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.world.motion import load_path
@@ -75,6 +76,14 @@ def _plan(path: Path) -> tuple[str, Iterable[str]]:
 def _requirements(path: Path) -> tuple[str, Iterable[str]]:
     found = [one.item.name for one in load_requirements(path)]
     return f"{counted(len(found), 'requirement')}: {', '.join(found)}", ()
+
+
+def _scenario(path: Path) -> tuple[str, Iterable[str]]:
+    found = scenario_in(path)
+    speeds = ", ".join(f"{speed:g}" for speed in found.file.speeds_km_h or ())
+    cars = counted(len(found.file.cars), "parked car")
+    unverified = (f"{path}: {found.name}: not verified: {found.file.unverified}",) if found.file.unverified else ()
+    return f"{found.name}, at {speeds or 'no'} km/h, {cars}", unverified
 
 
 def _rig(path: Path) -> tuple[str, Iterable[str]]:
@@ -163,6 +172,7 @@ SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
     "plan": _plan,
     "study": _study,
     "requirements": _requirements,
+    "scenario": _scenario,
     "rig": _rig,
     "scene": _scene,
     "sensor": _sensor,

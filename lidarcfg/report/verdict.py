@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from xml.etree import ElementTree
+from xml.sax.saxutils import escape, quoteattr
 
 from rich.box import SIMPLE
 from rich.table import Column, Table
@@ -143,30 +143,26 @@ def compared(one: RequirementVerdict, other: RequirementVerdict) -> list[str]:
 def junit(found: Verdict, name: str) -> str:
     """The verdict as the XML that JUnit writes and CI servers read: a test case a requirement."""
     failed = sum(not one.passed for one in found.requirements)
-    suite = ElementTree.Element(
-        "testsuite",
-        name=xml_text(name),
-        tests=str(len(found.requirements)),
-        failures=str(failed),
-        errors="0",
-        skipped="0",
-    )
+    counts = f'tests="{len(found.requirements)}" failures="{failed}" errors="0" skipped="0"'
+    lines = ['<?xml version="1.0" encoding="utf-8"?>', "<testsuites>", f"  <testsuite name={_quoted(name)} {counts}>"]
     for one in found.requirements:
-        case = ElementTree.SubElement(suite, "testcase", classname="requirements", name=xml_text(one.name))
         said = f"demanded {'at most' if one.at_most else 'at least'} {quantity(one.demanded, one.unit)}"
         said += f", reached {quantity(one.reached, one.unit)}"
         details = [said, worst_place(one), f"lost: {lost_sensors(one)}" if one.lost else ""]
         details += [one.sampling.text] if one.sampling else []
-        text = xml_text("\n".join(line for line in details if line))
+        text = escape(xml_text("\n".join(line for line in details if line)))
+        lines.append(f'    <testcase classname="requirements" name={_quoted(one.name)}>')
         if one.passed:
-            child = ElementTree.SubElement(case, "system-out")
+            lines.append(f"      <system-out>{text}</system-out>")
         else:
-            child = ElementTree.SubElement(case, "failure", message=xml_text(said), type="requirement")
-        child.text = text
-    suites = ElementTree.Element("testsuites")
-    suites.append(suite)
-    ElementTree.indent(suites)
-    return ElementTree.tostring(suites, encoding="unicode", xml_declaration=True) + "\n"
+            lines.append(f'      <failure message={_quoted(said)} type="requirement">{text}</failure>')
+        lines.append("    </testcase>")
+    return "\n".join([*lines, "  </testsuite>", "</testsuites>", ""])
+
+
+def _quoted(text: str) -> str:
+    """A text as an attribute's value."""
+    return quoteattr(xml_text(text))
 
 
 def xml_text(text: str) -> str:

@@ -1,8 +1,10 @@
 """What a rig must see, as files say it: the requirements of a study, or of a file of their own that studies share."""
 
+import os
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, SerializationInfo, model_validator
 
 from lidarcfg.config.models import (
     COORDINATE_MAX_M,
@@ -13,6 +15,8 @@ from lidarcfg.config.models import (
     check_names,
     validation_error,
 )
+from lidarcfg.files import example
+from lidarcfg.requirements.braking import BrakingOrName
 from lidarcfg.sensors.rig import SENSORS_MAX, Distance, one_of
 
 HEADINGS_DEG = tuple(float(heading) for heading in range(0, 360, 45))
@@ -69,6 +73,18 @@ def _of_name(value: Any) -> Any:
     return {"name": value} if isinstance(value, str) else value
 
 
+ObjectOrName = Annotated[ObjectFile, BeforeValidator(_of_name, json_schema_input_type=ObjectFile | str)]
+
+
+def _scenario_from(name: str, info: SerializationInfo) -> str:
+    """A scenario's name as it is, or the absolute path of its file, which a file in the context's folder names."""
+    folder: Path | None = info.context
+    return name if folder is None or not Path(name).suffix else os.path.realpath(example(folder / name))
+
+
+ScenarioName = Annotated[str, Field(min_length=1), PlainSerializer(_scenario_from)]  # a preset, or a file's path
+
+
 def _of_file(value: Any) -> Any:
     return {"file": value} if isinstance(value, str) else value
 
@@ -80,7 +96,7 @@ KINDS = {  # of requirements, by the key that only they have: the other keys tha
     ),
     "post_height_m": ("first_seen_at_most_m", "gap_at_most_m", "within_m", "sector_deg", "lost"),
     "shadow_at_most_m3": ("height_m", "within_m", "lost"),
-    "scenario": ("speeds_km_h", "lost"),
+    "scenario": ("speeds_km_h", "target", "returns", "cluster_m", "braking", "lost"),
     "price_at_most": (),
     "sensors_at_most": (),
 }
@@ -92,7 +108,7 @@ class RequirementFile(Model):
     file: FileName | None = None  # instead of all other keys
     name: Name = ""
     # An object gets its returns wherever it stands in a zone.
-    object: Annotated[ObjectFile, BeforeValidator(_of_name, json_schema_input_type=ObjectFile | str)] | None = None
+    object: ObjectOrName | None = None
     returns: Annotated[int, Field(ge=1, le=1_000_000)] | None = None  # in one revolution, in the worst phase
     cluster_m: Annotated[float, Field(gt=0, le=10)] | None = None  # they are of one cluster with this tolerance
     sensors: Annotated[int, Field(ge=1, le=SENSORS_MAX)] | None = None  # so many get them, each alone
@@ -110,8 +126,10 @@ class RequirementFile(Model):
     shadow_at_most_m3: Annotated[float, Field(ge=0)] | None = None
     height_m: Heights | None = None  # above the ground
     # A moving target is seen in time to brake.
-    scenario: Name | None = None
+    scenario: ScenarioName | None = None
     speeds_km_h: Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)] | None = None
+    target: ObjectOrName | None = None  # instead of the scenario's
+    braking: BrakingOrName | None = None  # none: an emergency's
     # What a rig costs.
     price_at_most: Annotated[float, Field(gt=0, le=PRICE_MAX)] | None = None
     sensors_at_most: Annotated[int, Field(ge=1, le=SENSORS_MAX)] | None = None

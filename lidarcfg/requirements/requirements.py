@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from lidarcfg.config.document import Key
 from lidarcfg.config.models import error_at, errors_at, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
+from lidarcfg.requirements.braking import EMERGENCY
+from lidarcfg.requirements.detection import NO_SPEEDS, RETURNS, Rule, approach_of
 from lidarcfg.requirements.file import HEADINGS_DEG, RequirementFile, RequirementsFile
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import ObjectRequirement
@@ -18,12 +21,22 @@ from lidarcfg.requirements.places import Stand, Zone
 from lidarcfg.requirements.posts import LIMIT_M, PostPlaces, PostRequirement
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.robustness import Robust
+from lidarcfg.requirements.scenario import Extent, load_scenario
+from lidarcfg.requirements.scenarios import ScenarioRequirement
 from lidarcfg.requirements.shadow import HEIGHT_M, WITHIN_M, ShadowRequirement
+from lidarcfg.requirements.sight import Bounds
 from lidarcfg.requirements.target import target_of
 from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.vehicle import Vehicle
 
-Requirement = ObjectRequirement | PostRequirement | ShadowRequirement | PriceRequirement | SensorsRequirement
+Requirement = (
+    ObjectRequirement
+    | PostRequirement
+    | ShadowRequirement
+    | ScenarioRequirement
+    | PriceRequirement
+    | SensorsRequirement
+)
 
 
 @dataclass(frozen=True)
@@ -34,11 +47,12 @@ class Site:
     body: Footprint | None  # of the vehicle
     obstacles: Obstacles  # what blocks beams
     ground_m: float  # height of the ground in the vehicle frame
+    bounds: Bounds | None = None  # boxes in which sensors may be; None: not known
 
     @classmethod
-    def of(cls, vehicle: Vehicle | None, obstacles: Obstacles, ground_m: float) -> "Site":
+    def of(cls, vehicle: Vehicle | None, obstacles: Obstacles, ground_m: float, bounds: Bounds | None = None) -> "Site":
         """Around a vehicle."""
-        return cls(vehicle, Footprint.of(vehicle.scene.mesh()) if vehicle else None, obstacles, ground_m)
+        return cls(vehicle, Footprint.of(vehicle.scene.mesh()) if vehicle else None, obstacles, ground_m, bounds)
 
 
 @dataclass(frozen=True)
@@ -126,10 +140,8 @@ def resolved(
             case "sensors_at_most":
                 assert one.item.sensors_at_most
                 items.append(SensorsRequirement(one.item.name, one.item.sensors_at_most))
-            case marker:
-                if site.body is None:
-                    raise one.error("needs the vehicle's body, and the study has no vehicle; give one", marker)
-                raise one.error("no such scenario is known", marker)
+            case "scenario":
+                items.append(_scenario(one, site, lost))
     return Requirements(tuple(items), site, robust)
 
 
@@ -225,6 +237,32 @@ def _shadow(one: Source, site: Site, lost: int, robust: Robust | None) -> Shadow
     with errors_at(one.path, *one.at, "within_m"):
         found.points_m  # noqa: B018  # raises for too many points
     return found
+
+
+def _scenario(one: Source, site: Site, lost: int) -> ScenarioRequirement:
+    item = one.item
+    assert item.scenario
+    if site.vehicle is None:
+        raise one.error("needs the vehicle's body, and the study has no vehicle; give one", "scenario")
+    with errors_at(one.path, *one.at, "scenario"):
+        scenario = load_scenario(item.scenario, one.path.parent, item.target)
+        speeds_km_h = item.speeds_km_h or scenario.file.speeds_km_h
+        if not speeds_km_h:
+            raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
+        braking = item.braking or EMERGENCY
+        for speed_km_h, impact in product(speeds_km_h, scenario.file.impacts):
+            approach_of(scenario, Extent.of(site.vehicle), speed_km_h, impact, site.ground_m, braking)
+    return ScenarioRequirement(
+        name=item.name,
+        scenario=scenario,
+        vehicle=site.vehicle,
+        speeds_km_h=speeds_km_h,
+        rule=Rule(item.returns or RETURNS, item.cluster_m),
+        braking=braking,
+        lost=lost,
+        bounds=site.bounds,
+        ground_m=site.ground_m,
+    )
 
 
 def _price(one: Source, prices: Mapping[str, float] | None, models: Sequence[str]) -> PriceRequirement:

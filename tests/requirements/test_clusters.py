@@ -6,7 +6,7 @@ import pytest
 from lidarcfg.core import returns as core
 from lidarcfg.requirements.sensors import poses_of, scanners_of
 from lidarcfg.simulate.returns import ClusterRule, Target, count_clusters, returns
-from lidarcfg.world.meshes import joined
+from lidarcfg.world.meshes import join_meshes
 from lidarcfg.world.obstacles import NO_OBSTACLES
 from tests.naive import requirements as naive
 from tests.returns_cases import box, mount
@@ -68,7 +68,7 @@ def test_a_wide_tolerance_counts_all_returns(lost, sensors):
 def test_two_boxes_are_two_clusters():
     """1 m apart across the line of sight: the larger count of the two, each counted alone."""
     one, other = box(0.3, 0.3, 1.0), box(0.3, 0.6, 0.8)
-    both = joined([(one[0] + (0, -1.0, 0), one[1]), (other[0] + (0, 0.85, 0), other[1])])
+    both = join_meshes([(one[0] + (0, -1.0, 0), one[1]), (other[0] + (0, 0.85, 0), other[1])])
     where = np.array([[6.0, 0.0, 0.0, 0.0]])
     found, _ = clusters(Target(both), where, ClusterRule(0.6, LOW), joint=True)
     counts = []

@@ -7,7 +7,7 @@ import pytest
 
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.places import Stand, Zone
-from lidarcfg.world.meshes import joined
+from lidarcfg.world.meshes import join_meshes
 from tests.naive import requirements as naive
 from tests.returns_cases import box
 
@@ -17,7 +17,7 @@ def moved(mesh, x, y):
 
 
 BAR = box(4.0, 1.0, 1.0)
-U = joined([BAR, moved(box(1.0, 2.0, 1.0), -1.5, 1.5), moved(box(1.0, 2.0, 1.0), 1.5, 1.5)])  # open to the left
+U = join_meshes([BAR, moved(box(1.0, 2.0, 1.0), -1.5, 1.5), moved(box(1.0, 2.0, 1.0), 1.5, 1.5)])  # open to the left
 OBJECT = Footprint.of(box(0.4, 0.2, 1.0))
 
 
@@ -54,7 +54,7 @@ def test_distances_by_plain_loops():
 
 
 def test_holes_are_filled_and_bays_are_kept():
-    ring = joined([U, moved(BAR, 0.0, 3.0)])  # closes the notch
+    ring = join_meshes([U, moved(BAR, 0.0, 3.0)])  # closes the notch
     assert Footprint.of(U).shape.area == pytest.approx(8.0, abs=1e-4)
     assert Footprint.of(ring).shape.area == pytest.approx(4.0 * 4.0, abs=1e-4)
     assert Footprint.of(ring).to_points_m(np.array([[0.0, 1.5]]))[0] == 0.0

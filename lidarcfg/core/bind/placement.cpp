@@ -177,7 +177,8 @@ std::tuple<std::vector<std::int64_t>, Array<std::int64_t, 2>, std::vector<std::i
   require(label.size() < std::numeric_limits<std::int32_t>::max(), "label: fewer than 2^31 cuboids");
   Components found = label_components(grid, links, label);
   const std::size_t count = found.cuboids.size();
-  return {std::move(found.cuboids), {std::move(found.internal), {count, 3}}, std::move(found.first)};
+  return std::tuple(std::move(found.cuboids), Array<std::int64_t, 2>{std::move(found.internal), {count, 3}},
+                    std::move(found.first));
 }
 
 }  // namespace

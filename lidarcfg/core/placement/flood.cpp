@@ -137,7 +137,8 @@ const Subspace& Flooder::run(View<const Links> links, Index cuboid, Inside insid
       bits &= inside(row);
     }
     const int count = std::popcount(bits);
-    if (bits &= left[row]) {
+    bits &= left[row];
+    if (bits) {
       waiting_[waiting++] = next;
       next = {row, bits};
     }

@@ -113,7 +113,7 @@ void FiringTracer<Width>::trace() {
     moving_.emplace(stage_.world);
   }
   for (Index b = 0; b < batches.count(); ++b) {
-    if (moves && (b == 0 || batches.block[b] != batches.block[b - 1])) {
+    if (moving_ && (b == 0 || batches.block[b] != batches.block[b - 1])) {
       const double begin_s = seconds_between(stage_.zero_ns, batches.begin_ns(b));
       moving_->during(begin_s, begin_s + batches.block_ns / 1e9);
     }

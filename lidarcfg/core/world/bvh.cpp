@@ -243,7 +243,7 @@ struct Memory {
   std::vector<std::int32_t> object;
 };
 
-Bvh view_of(std::shared_ptr<const Memory> memory) {
+Bvh view_of(const std::shared_ptr<const Memory>& memory) {
   Bvh out{memory->nodes, memory->leaves, memory->kind, memory->number, memory->object, 0, memory};
   for (const Leaf& leaf : memory->leaves) {
     float reach_m = 0;
@@ -339,7 +339,7 @@ Bvh build(View<const Shape> shapes, View<const Kind> kind, View<const std::int32
       memory->object.push_back(object[s]);
     }
   }
-  return view_of(std::move(memory));
+  return view_of(memory);
 }
 
 Bvh copy_of(const Bvh& views) {
