@@ -65,6 +65,7 @@ def evaluate(
             to_json,
         )
         from lidarcfg.report.tables import print_comparison, print_evaluation
+        from lidarcfg.requirements.verify import Verifier
         from lidarcfg.sensors.rig import load_rig
 
         loaded = load_study(study)
@@ -78,7 +79,12 @@ def evaluate(
         on_progress(0.0, f"evaluating {rig}")
         found = evaluation(loaded, mounted, tolerance, on_progress=lambda done: on_progress(done, f"evaluating {rig}"))
         shown = report_inputs(loaded, mounted, found) if output or beside else None
-        found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
+        if shown:
+            found = shown.evaluation
+        else:
+            found = replace(found, robustness=robustness(loaded, mounted))
+            if loaded.requirements:
+                found = replace(found, verdict=Verifier(loaded.requirements).verify(mounted.mounts, on_progress))
         if output and shown:
             commands = Commands(command_line(), command_line())
             save_evaluation(loaded, mounted, shown, output, commands, beside)

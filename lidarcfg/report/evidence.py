@@ -22,6 +22,7 @@ from lidarcfg.report.canvas import (
     sensor_dots,
 )
 from lidarcfg.report.describe import counted
+from lidarcfg.report.scenario import draw_scenario_on, scenario_rows
 from lidarcfg.requirements.evidence import Evidence, HiddenColumns, SensorView
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import PlaceCounts
@@ -50,8 +51,9 @@ MARGIN_M = 0.4  # around what is drawn
 MAP_IN = 1.8, 6.2  # least and greatest height of a map
 COLUMNS = 4  # of sensors' views in a row
 VIEW_IN = 1.6
+FRAMES_IN = 2.3  # height of a row of plots over time
 BEAMS = {  # as they are drawn: colour, size, mark, words
-    Outcome.PASSES: ("0.72", 2.0, ".", "passes"),
+    Outcome.PASSES: ("0.55", 5.0, ".", "passes"),
     Outcome.RETURNS: ("#0072B2", 9.0, "o", "returns"),
     Outcome.HIDDEN: ("#D55E00", 9.0, "x", "something stands before it"),
     Outcome.UNSEEN: ("#CC79A7", 9.0, "+", "out of range or view"),
@@ -186,7 +188,7 @@ def _draw_hidden(figure: "Figure", axes: "Axes", hidden: HiddenColumns) -> None:
 
 def _draw_body(axes: "Axes", body: Footprint | None) -> None:
     for outline in body.outlines_m if body else ():
-        axes.fill(*outline.T, facecolor=(*EXCLUDED, 0.9), edgecolor="0.2", lw=0.9, zorder=2.5)
+        axes.fill(*outline.T, facecolor=(*EXCLUDED, 0.9), edgecolor="0.2", lw=0.9, zorder=1.5)
 
 
 def _draw_zone(axes: "Axes", zone: Zone) -> None:
@@ -286,6 +288,18 @@ def _legend(figure: "Figure", views: Sequence[SensorView]) -> None:
     ]
     if shown:
         figure.legend(handles=shown, loc="outside lower center", ncols=len(shown), fontsize=7.5)
+
+
+def draw_frames(evidence: Evidence, number: int) -> Markup | None:
+    """A scenario's returns over time; None for other kinds."""
+    found = evidence.scenario
+    if found is None:
+        return None
+    name = label(evidence.verdict.name)
+    height = FRAMES_IN * scenario_rows(found) + LABELS_IN
+    return drawing(
+        f"frames-{number}", height, f"{name}: returns in each frame", lambda figure: draw_scenario_on(figure, found)
+    )
 
 
 def map_caption(evidence: Evidence) -> str:

@@ -15,6 +15,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.report.describe import counted, describe_returns, price
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.text import MANY, summarize, terminal, truncate
+from lidarcfg.report.verdict import print_verdict
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
@@ -66,6 +67,8 @@ def print_front(study: Study, found: "Front") -> None:
 def print_evaluation(rig: Rig, found: Evaluation) -> None:
     """Print the rig, its max VSR and detection rates, and the worst subspaces."""
     console = terminal()
+    if found.verdict:
+        print_verdict(found.verdict)
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
         angles = np.degrees(mount.rpy_rad)

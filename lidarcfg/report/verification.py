@@ -8,7 +8,7 @@ from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
 from lidarcfg.placement.study import Study
 from lidarcfg.report.describe import date, describe_rig, mounts_table, versions
-from lidarcfg.report.evidence import draw_map, draw_views, map_caption
+from lidarcfg.report.evidence import draw_frames, draw_map, draw_views, map_caption
 from lidarcfg.report.html import FailCell, PassCell, Table, render
 from lidarcfg.report.mounts import draw_mounts
 from lidarcfg.report.text import truncate
@@ -39,6 +39,7 @@ class RequirementPart:
     map: Markup | None
     map_caption: str
     views: Markup | None
+    frames: Markup | None
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ def verdict_part(found: Verification, rig: Rig, against: Verdict | None = None) 
             map=draw_map(one, rig, number),
             map_caption=map_caption(one) if one.has_map else "",
             views=draw_views(one, number),
+            frames=draw_frames(one, number),
         )
         for number, one in enumerate(found.evidence, 1)
     ]
@@ -107,8 +109,10 @@ def sentence(one: RequirementVerdict) -> str:
     said = f"Demanded {demanded(one)}, reached {quantity(one.reached, one.unit)}: margin {signed(one.margin, one.unit)}"
     if one.worst:
         said += f", at {worst_place(one)}"
-    lost = lost_sensors(one)
-    return f"{said}. Sensors: {lost}." if lost else f"{said}."
+    if one.lost:
+        said += f", with {', '.join(map(truncate, one.lost))} lost"
+    breaking = ", ".join(map(truncate, one.breaking))
+    return f"{said}. The loss of any of these alone breaks it: {breaking}." if one.passed and breaking else f"{said}."
 
 
 def verdict_page(

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarcfg.geometry import Array
+from lidarcfg.requirements.detection import ScenarioResult
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import CAP_MAX, ObjectJudge, ObjectRequirement, PlaceCounts
 from lidarcfg.requirements.places import Zone
 from lidarcfg.requirements.posts import PostRequirement, PostVisibility
+from lidarcfg.requirements.scenarios import ScenarioRequirement
 from lidarcfg.requirements.sensors import lowest_at
 from lidarcfg.requirements.shadow import STEP_M as SHADOW_STEP_M
 from lidarcfg.requirements.shadow import ShadowRequirement
@@ -47,6 +49,7 @@ class Evidence:
     counts: PlaceCounts | None = None
     posts: PostVisibility | None = None
     hidden: HiddenColumns | None = None
+    scenario: ScenarioResult | None = None
     views: tuple[SensorView, ...] = ()
 
     @property
@@ -90,6 +93,8 @@ def evidence(verifier: Verifier, mounts: Sequence[Mount], found: Verdict) -> tup
             out.append(Evidence(one, body, posts=judge.visibility(mounts), views=views))
         elif isinstance(judge, ShadowRequirement):
             out.append(Evidence(one, body, hidden=_hidden(judge, mounts)))
+        elif isinstance(judge, ScenarioRequirement):
+            out.append(Evidence(one, body, scenario=judge.check(mounts).result))
         else:
             out.append(Evidence(one, body))
     return tuple(out)
