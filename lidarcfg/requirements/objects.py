@@ -25,7 +25,7 @@ from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import ClusterRule, Lowest, Target, count_clusters
 from lidarcfg.world.obstacles import Obstacles
 
-LOWEST = 128  # places, around which others are tried
+LOWEST = 256  # places, around which others are tried
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then

@@ -16,7 +16,7 @@ from lidarcfg.requirements.footprint import Footprint
 
 NEAR_M = 5.0  # from the body: as far out places lie at most half the object's least width apart
 STEP_M = 0.5  # between places farther out, unless the requirement says otherwise; or half the width if that is more
-FINEST_M = 0.025  # between refined places: at 0.1 m minima are missed by up to 14 returns, at 0.03 m by 1
+FINEST_M = 0.0125  # between refined places: at 0.025 m one minimum in ten is missed by more than 1 return
 FINEST_RAD = math.radians(15)  # between refined headings
 LEAST_STEP_M = 0.02  # in a zone that holds no place of a coarser grid
 PLACES_MAX = 5_000_000
