@@ -11,8 +11,8 @@ from lidarcfg.config.document import yaml_text
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation, Worst
-from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.report_inputs import ReportInputs
+from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table

@@ -18,8 +18,8 @@ from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.report_inputs import ReportInputs
+from lidarcfg.placement.search_run import Log, Placement
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
@@ -55,6 +55,7 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "skipped": {"rigs": 1, "full_evaluations": 0, "cuboids": 0, "segments": 0},
         "rig": rig_to_dict(rig),
         "study": study.file,
+        **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
     }
 
 
@@ -92,7 +93,9 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
     rigs = found.evaluated * study.rigs[0]
     cut = study.objective_cuts
     return evaluation_dict(study, found.rig, evaluation) | {
-        "objective": found.objective,
+        "objective": found.objective if math.isfinite(found.objective) else None,
+        "at_bounds": list(found.at_bounds),
+        **({"remarks": list(found.remarks)} if found.remarks else {}),
         "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
         "evaluations": found.evaluations,
         "first_evaluations": found.first_evaluations,
