@@ -307,7 +307,8 @@ class ObjectJudge:
     def _tried(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces) -> Tried:
         """The base grid's counts, and those at places between, around the lowest, down to the finest spacing."""
         stand = self.item.stand
-        base = every = self.measured(mounts, cap, on_places)
+        base = self.measured(mounts, cap, on_places)
+        every = base.joined(self.measured_at(stand.edge, mounts, cap)) if len(stand.edge) else base
         seen: set[tuple[int, ...]] = set()
         step_m = stand.far_step_m
         turns = np.diff(stand.headings_rad)
