@@ -6,6 +6,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
+from lidarcfg.placement.achievable import unachievable
 from lidarcfg.placement.cheapest import cheapest
 from lidarcfg.placement.combinations import distinct_options, options
 from lidarcfg.placement.optimize import optimize
@@ -255,3 +256,18 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
         assert found.placement.verdict.shortfall > 0
         assert [tried.too_dear for tried in found.tried].count(True) == 1  # two VLP-32C
     assert isinstance(one.requirements, Requirements)
+
+
+def test_what_no_rig_can_meet_is_said(study):
+    """A slit closed by the far wall, a zone beyond the range, and a budget below the cheapest rig."""
+    assert unachievable(study(SLIT)) == {}
+    walled = study(
+        SLIT.replace(
+            "center_m: [5.7, 2.5, 1.5], size_m: [8.6, 0.2, 3]", "center_m: [5, 2.5, 1.5], size_m: [10, 0.2, 3]"
+        )
+    )
+    assert "hidden from all" in unachievable(walled)["behind the slit"]
+    near = study(SLIT.replace("model: vlp-16", "model: vlp-16\n    range_m: [0.5, 3]"))
+    assert "no range exceeds 3 m" in unachievable(near)["behind the slit"]
+    dear = study(CHOICE.replace("RETURNS", "10").replace("13000", "3999"))
+    assert unachievable(dear) == {"budget": "the cheapest rig costs 4,000"}
