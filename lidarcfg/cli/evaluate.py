@@ -112,7 +112,7 @@ def check_rig(study: "Study", path: Path, rig: "Rig") -> None:
     from lidarcfg.placement.checks import rig_warnings
     from lidarcfg.world.vehicle import check_outside
 
-    for message in rig_warnings(path, study.requirements.site.ground_m if study.requirements else None):
+    for message in rig_warnings(path, study.requirements.site.ground_m if study.requirements else 0.0):
         warn(message)
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts, path)

@@ -26,7 +26,7 @@ SCHEMAS = (*TEMPLATES, "requirements", "scenario", "vehicle", "trajectory", "pla
 @cloup.option(
     "--vehicle",
     metavar="NAME",
-    help="For a study: a body from the package (sedan, shuttle, truck), or a mesh file of your own.",
+    help="For a study: a body from the package (bus, sedan, shuttle, truck), or a mesh file of your own.",
 )
 @quiet_option
 def init(kind: str, output: Path, vehicle: str | None, quiet: bool) -> None:

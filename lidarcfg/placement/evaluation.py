@@ -3,10 +3,10 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from lidarcfg.config.models import Given
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Analytic, analytic
@@ -70,8 +70,8 @@ class Evaluation:
 
 
 def evaluate(
-    study: Study | str | Path,
-    rig: Rig | str | Path,
+    study: Study | Given,
+    rig: Rig | Given,
     tolerance: float | None = None,
     worst_count: int = WORST,
     on_progress: Callable[[float], None] = lambda fraction: None,
@@ -79,13 +79,13 @@ def evaluate(
 ) -> Evaluation:
     """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
 
-    Study and rig are files, or what is loaded from them. With a relative tolerance also the analytic max VSR, to
+    Study and rig are files, dicts with their keys, or loaded. With a relative tolerance also the analytic max VSR, to
     that tolerance. `on_progress` is told the fraction done of the objects that are detected by returns, which take
     longest. `verdict` is that on the rig, where it is known already. Raises ConfigError where the tolerance is not
     above 0, or where the region has too many cuboids to refine; and where a sensor is inside the study's vehicle.
     """
-    study = loaded(study, load_study)
-    rig = loaded(rig, load_rig)
+    study = loaded(study, load_study, Study)
+    rig = loaded(rig, load_rig, Rig)
     started = time.perf_counter()
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts)

@@ -1,8 +1,8 @@
 """The search for the best rig of a study: asks a solver for trials, evaluates them, and tells it their costs."""
 
 from collections.abc import Callable
-from pathlib import Path
 
+from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.placement.plain_rigs import plain_points
@@ -14,7 +14,7 @@ from lidarcfg.sensors.rig import Rig
 
 
 def optimize(
-    study: Study | str | Path,
+    study: Study | Given,
     threads: int | None = None,
     on_cycle: Callable[[Cycle, Rig, Log], None] | None = None,
     log: Log | None = None,
@@ -24,7 +24,7 @@ def optimize(
 ) -> Placement:
     """Search for the rig with the least objective. The result depends on the seed, not on the number of threads.
 
-    The study is a file, or what is loaded from it. `on_cycle` gets the state of the search, the best rig and the
+    The study is a file, a dict with its keys, or loaded. `on_cycle` gets the state of the search, the best rig and the
     log at the end of each cycle. `on_evaluations` is called from time to time, also within a cycle, with the number
     of evaluations so far. `log` resumes an earlier search, which ends where an uninterrupted one would (unless its
     budget is in seconds). Without `skip` every trial is evaluated in full, which changes only the time. An
@@ -32,7 +32,7 @@ def optimize(
     the plain rigs that an engineer would try are the first trials, so that no result is worse than the best of them.
     Raises ConfigError if nothing is free to move, or if no rig meets the constraints.
     """
-    study = loaded(study, load_study)
+    study = loaded(study, load_study, Study)
     if study.to_choose:
         instead = "`front` searches for the best rig of each price"
         if study.requirements:

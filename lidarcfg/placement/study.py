@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import core, maths
-from lidarcfg.config.models import NAME_MAX, error_at, errors_at, load, whole_values
-from lidarcfg.files import example
+from lidarcfg.config.models import NAME_MAX, Given, error_at, errors_at, load_or_check, whole_values
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
-from lidarcfg.placement.cones import Lidar, placed
+from lidarcfg.placement.cones import Lidar, placed, rig_lidars
 from lidarcfg.placement.detection import DetectionObject, check_fits
 from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial
 from lidarcfg.placement.region import Region
@@ -35,6 +34,7 @@ from lidarcfg.placement.slots import (
 )
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
+from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
@@ -218,6 +218,14 @@ class Study:
         """The obstacles between sensors and objects."""
         return self.visibility.obstacles if self.visibility else NO_OBSTACLES
 
+    def shadow(self, rig: Rig) -> NDArray[np.bool_]:
+        """(nx, ny, nz) which cuboids bodies alone hide from all LiDARs of a rig: without bodies, one would see them."""
+        if self.visibility is None:
+            return np.zeros(self.region.shape, np.bool_)
+        lidars = rig_lidars(rig)
+        without_bodies = segment(self.region, lidars, self.visibility.transparent()).seen_by
+        return np.asarray((without_bodies > 0) & (segment(self.region, lidars, self.visibility).seen_by == 0))
+
     @cached_property
     def reference_m(self) -> Array:
         """(2,) x and y of the vehicle: the midpoint of its bodies' bounds.
@@ -286,10 +294,9 @@ class Study:
         return Rig(self.name[:NAME_MAX], tuple(mounts), self.vehicle.section if self.vehicle else None)
 
 
-def load_study(path: str | Path) -> Study:
-    """The study in a YAML file. Raises ConfigError with file, line and key."""
-    path = example(path)
-    return study_of(load(path, StudyFile), path)
+def load_study(given: Given) -> Study:
+    """The study in a YAML file, or of a dict with its keys. Raises ConfigError with file, line and key."""
+    return study_of(*load_or_check(given, StudyFile))
 
 
 def study_of(file: StudyFile, path: Path) -> Study:
