@@ -20,6 +20,7 @@ from lidarcfg.placement.requirements_evaluator import (
 )
 from lidarcfg.placement.search_run import INFEASIBLE
 from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.placement.sweep import Processes
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.sensors import lowest_at
 from lidarcfg.requirements.trials import RigTrials
@@ -271,3 +272,20 @@ def test_what_no_rig_can_meet_is_said(study):
     assert "no range exceeds 3 m" in unachievable(near)["behind the slit"]
     dear = study(CHOICE.replace("RETURNS", "10").replace("13000", "3999"))
     assert unachievable(dear) == {"budget": "the cheapest rig costs 4,000"}
+
+
+def test_workers_find_the_same(study):
+    """Processes stand for a cluster's workers."""
+    one = study(CHOICE.replace("RETURNS", "300"))
+    alone = cheapest(one, threads=2)
+    workers = Processes(2)
+    try:
+        found = cheapest(one, workers=workers)
+    finally:
+        workers.close()
+    assert found.combination.name == alone.combination.name
+    assert found.placement.rig == alone.placement.rig
+    assert found.placement.verdict == alone.placement.verdict
+    assert [each for each in found.tried if each.price < alone.combination.price] == [
+        each for each in alone.tried if each.price < alone.combination.price
+    ]
