@@ -99,9 +99,9 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
         return ComparisonRow(what, texts, best)
 
     out = [
+        *_verdict_rows(rigs),
         row("sensors", ",", lambda rig: len(rig.rig.mounts)),
         row("beams", ",", lambda rig: beams(rig.rig)),
-        *_verdict_rows(rigs),
         row("max VSR (m)", ".6f", lambda rig: rig.found.max_vsr_m, -1),
     ]
     if bars := _analytic_row(rigs):
@@ -127,12 +127,14 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
 
 
 def _verdict_rows(rigs: Sequence[Contender]) -> list[ComparisonRow]:
-    """PASS or FAIL of each requirement, with the margin; the largest is marked."""
+    """Whether each requirement is met, and by how much; none without requirements."""
     verdicts = [rig.found.verdict for rig in rigs if rig.found.verdict]
+    if len(verdicts) < len(rigs):
+        return []
     out = []
     for ones in zip(*(found.requirements for found in verdicts), strict=True):
         texts = [f"{PASS if one.passed else FAIL} {signed(one.margin, one.unit)}" for one in ones]
-        margins = [one.margin for one in ones]
+        margins = [one.relative_margin for one in ones]
         best = [min(margins) < max(margins) and margin == max(margins) for margin in margins]
         out.append(ComparisonRow(truncate(ones[0].name, DRAWN), texts, best))
     return out

@@ -98,6 +98,17 @@ class Tried:
     finest_rad: float
 
 
+@dataclass(frozen=True)
+class PlaceCounts:
+    """What an object reaches at N positions of the base grid, each at its worst heading."""
+
+    at_m: Array  # (N, 2)
+    values: Counts  # (N,) in the worst case; lower bounds from the cap on
+    side_m: Array  # (N,) between neighbours there
+    demanded: int
+    cap: int
+
+
 def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts:
     """(P,) the sum of counts (P, S) without the `lost` largest; or, of those left, the `sensors`-th largest."""
     ordered = -np.sort(-np.maximum(counts, 0).astype(np.int64), axis=1)
@@ -121,10 +132,26 @@ class ObjectJudge:
         """The number of places at which rigs are measured, for progress."""
         return len(self.places) * (1 + (self._robust.drawn if self._robust else 0))
 
+    @property
+    def first_cap(self) -> int:
+        """Returns beyond which they are counted only if nothing is lower anywhere."""
+        return max(2 * self.item.returns, CAP_MIN)
+
+    def counts(self, mounts: Sequence[Mount]) -> PlaceCounts:
+        """What a rig reaches at the base grid's positions, each at its worst heading; of one just judged, as kept."""
+        stand = self.item.stand
+        found = self.measured(mounts, self.first_cap)
+        worst, values = positions(found.places, found.values)
+        at = found.places[worst, :2]
+        side_m = np.full(len(at), stand.far_step_m)
+        if stand.zone.body:
+            side_m[stand.zone.body.to_points_m(at) <= stand.near_m] = stand.near_step_m
+        return PlaceCounts(at, values, side_m, self.item.returns, self.first_cap)
+
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
         item = self.item
-        cap = max(2 * item.returns, CAP_MIN)
+        cap = self.first_cap
         tried = self._tried(mounts, cap, on_places)
         while self._worst(tried)[1] >= cap and cap < CAP_MAX:
             cap *= CAP_FACTOR

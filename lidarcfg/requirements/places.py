@@ -71,6 +71,11 @@ class Stand:
         """Between places farther out."""
         return self.step_m or max(STEP_M, self.width_m / 2)
 
+    @property
+    def near_m(self) -> float:
+        """As far from the body as positions are near it."""
+        return NEAR_M + self.footprint.radius_m
+
     def distance_m(self, places: Array) -> Array:
         """(P,) the object's distances from the body at places (P, 4); inf without a body."""
         body = self.zone.body
@@ -126,7 +131,7 @@ class Stand:
         if body is None or near_m == far_m:
             at = self._lattice(*self._bounds_m(), far_m)
         else:
-            reach_m = NEAR_M + self.footprint.radius_m
+            reach_m = self.near_m
             low, high = self._bounds_m()
             near = self._lattice(
                 np.maximum(low, body.bounds_m[0] - reach_m), np.minimum(high, body.bounds_m[1] + reach_m), near_m

@@ -213,6 +213,10 @@ class PostRequirement:
         flags[self.posts.counts] = seen
         return self._judged_by(PostVisibility(self.height_m, self.limit_m, self.posts, flags))
 
+    def visibility(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> PostVisibility:
+        """Where a rig sees the post, also with sensors lost."""
+        return post_visibility(self.posts, self.height_m, mounts, self.obstacles, self.lost, self.limit_m, on_places)
+
     @property
     def work(self) -> int:
         """The number of places at which rigs are measured, for progress."""
@@ -228,9 +232,7 @@ class PostRequirement:
         return min(found, key=lambda one: one.relative_margin)
 
     def _judged(self, mounts: Sequence[Mount], on_places: OnPlaces) -> RequirementVerdict:
-        return self._judged_by(
-            post_visibility(self.posts, self.height_m, mounts, self.obstacles, self.lost, self.limit_m, on_places)
-        )
+        return self._judged_by(self.visibility(mounts, on_places))
 
     def _judged_by(self, seen: PostVisibility) -> RequirementVerdict:
         limits = {

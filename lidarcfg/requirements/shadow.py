@@ -71,6 +71,12 @@ class ShadowRequirement:
         """(N,) which points no body hides from a place (3,)."""
         return np.asarray(~self.vehicle.tracer.blocked(origin_m, self.points_m))
 
+    def hidden(self, mounts: Sequence[Mount]) -> NDArray[np.bool_]:
+        """(N,) which points are hidden from all sensors that are left in the worst case."""
+        seen = self.seen(mounts)
+        hidden = [np.asarray(~seen[kept].any(axis=0)) for kept in cases(len(mounts), self.lost)]
+        return max(hidden, key=lambda one: int(one.sum()))
+
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
         found = [self._judged(mounts, on_places)]
