@@ -104,6 +104,7 @@ def optimize(
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
+        from lidarcfg.placement.achievable import unachievable
         from lidarcfg.placement.checks import study_warnings
         from lidarcfg.placement.study import load_study, with_solver
         from lidarcfg.report.comparison import with_baseline
@@ -114,6 +115,7 @@ def optimize(
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
         messages = list(study_warnings(study, loaded))
+        messages += [f"{study}: {name}: not achievable: {why}" for name, why in unachievable(loaded).items()]
     warn_of(loaded.vehicle)
     for message in messages:
         warn(message)
