@@ -24,6 +24,7 @@ from lidarcfg.errors import LidarcfgError
 from lidarcfg.placement.plan import PlanFile
 from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.report.summaries import summary
+from lidarcfg.requirements.scenario import ScenarioFile
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Sensor
@@ -278,6 +279,7 @@ def test_yaml_on_a_page_is_what_it_looks_like(page, tmp_path):
             "vary": PlanFile,
             "region": StudyFile,
             "beams": Sensor,
+            "target": ScenarioFile,
             "sensors": RigFile,
             "ground": SceneFile,
             "boxes": SceneFile,
@@ -357,7 +359,7 @@ def parts(annotation):
         yield from parts(argument)
 
 
-@pytest.mark.parametrize("model", [StudyFile, PlanFile, RigFile, SceneFile, Sensor, Motion, Realism])
+@pytest.mark.parametrize("model", [StudyFile, ScenarioFile, PlanFile, RigFile, SceneFile, Sensor, Motion, Realism])
 def test_every_key_of_a_file_is_documented(model):
     text = documentation()
     assert [key for key in keys(model) if not re.search(rf"\b{key}\b", text)] == []

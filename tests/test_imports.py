@@ -20,6 +20,7 @@ LISTING = (
     ["world"],  # scenes, vehicles, trajectories; the tracer
     ["packets"],  # a maker a folder: bytes, and when lasers fire
     ["simulate"],  # firings, echoes, returns
+    ["requirements"],  # what a rig must see, and the verdict
     ["placement"],  # the paper and beyond
     ["capture"],  # pcap, export, decode, replay
     ["io"],  # from and to other tools

@@ -30,9 +30,9 @@ from lidarcfg.placement.grid import grid_of
 from lidarcfg.placement.metric import vsr_of_counts
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.robustness import Robust
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.visibility import UNLIMITED_SIGHT
+from lidarcfg.requirements.robustness import Robust
 
 SEED, RIGS = 1, 5
 

@@ -28,7 +28,7 @@ import lidarcfg
 from lidarcfg.files import replacing
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
-from lidarcfg.report import COLOURS, new_figure, save_figure
+from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 
 RUNS = ROOT / "data/reference/search.jsonl"
 KNOWN = ROOT / "data/reference/best_known.json"

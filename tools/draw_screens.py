@@ -22,10 +22,9 @@ sys.path.insert(0, str(ROOT))
 
 from lidarcfg.cli.main import cli
 from lidarcfg.cli.options import START, load_trajectory, nanoseconds
-from lidarcfg.viewer.manifests import DriveInputs, complete_inputs
+from lidarcfg.viewer.contents import DriveInputs, complete_inputs, load_contents
 from lidarcfg.viewer.page import page_of
 from lidarcfg.viewer.server import Server
-from lidarcfg.viewer.stage import load_stage
 from tests.chromium import browser
 from tests.viewer.driver import click, opened, put, settled
 
@@ -42,8 +41,8 @@ def served(*files: str) -> Iterator[str]:
     """The address of the page of a capture, as it was noted, and other files."""
     paths, known = complete_inputs([Path(name) for name in files], DriveInputs(), print)
     drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
-    stage = load_stage(paths, known.rig, None, drive, print, vehicle=known.vehicle)
-    with Server(stage, page_of(stage, by="height", served=True)) as server:
+    contents = load_contents(paths, known.rig, None, drive, print, vehicle=known.vehicle)
+    with Server(contents, page_of(contents, by="height", served=True)) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield server.url
         server.shutdown()

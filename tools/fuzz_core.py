@@ -1,21 +1,27 @@
 #!/usr/bin/env python3
 """Calls of the compiled core, made odd: each ends in a result or in a ValueError or TypeError, and never in a crash.
 
-    tools/test --sanitize && .venv/bin/python tools/fuzz_core.py --seconds 600   # on the core that is installed
+    cmake -S lidarcfg/core -B build/sanitized -G Ninja -DLIDARCFG_SANITIZE=ON
+    cmake --build build/sanitized && cmake --install build/sanitized --prefix .
+    LIDARCFG_CORE=sanitized ASAN_OPTIONS=detect_leaks=0:max_allocation_size_mb=2500 \\
+    LD_PRELOAD="$(c++ -print-file-name=libasan.so) $(c++ -print-file-name=libstdc++.so)" \\
+    .venv/bin/python tools/fuzz_core.py --seconds 600
 
-What is called, and with what, is seen in the core's own tests, which run first. Then arguments are changed: other
-dtypes, orders and shapes, read-only arrays, no elements, NaN, infinities, the least and greatest integers, billions of
-elements (of one value in memory), other types. Run it with the sanitizers' core, as tools/test --sanitize does:
-there, whatever reads or writes beside an array ends the run.
+What is called, and with what, is seen in the core's own tests, which run first. Then an argument is changed: another
+dtype, order or shape, a read-only array, no elements, NaN, infinities, the least and greatest integers, billions of
+elements (of one value in memory), another type. On the sanitizers' core whatever reads or writes beside an array,
+overflows, or asks for gigabytes ends the run, which then tells the call.
 """
 
 import argparse
 import copy
+import mmap
+import os
 import sys
 import time
 from collections import Counter
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,9 +31,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from lidarcfg import core
 
 MOST_CALLS = 40  # kept of each function
-MOST_BYTES = 1 << 20  # of a call's arrays: large ones say no more than small ones
+MOST_BYTES = 1 << 20  # of a call's arrays: large ones say no more than small ones, and are not copied
 EXTREMES = {"f": (np.nan, np.inf, -np.inf, 1e308, -0.0), "i": (-1, 0), "u": (0,), "b": (True, False)}
 HUGE = 3_000_000_000
+MOST_LETTERS = 1 << 14  # of a call, as it is told
 
 
 class Seen:
@@ -37,7 +44,7 @@ class Seen:
         self.calls: dict[str, list[tuple[Any, tuple[Any, ...], dict[str, Any]]]] = {}
 
     def watch(self) -> None:
-        """Have each function and class of the core tell how it is called."""
+        """Have each function, class and method of the core tell how it is called."""
         for part in vars(core.compiled).values():
             if isinstance(part, ModuleType):
                 for name, value in list(vars(part).items()):
@@ -45,40 +52,42 @@ class Seen:
                         setattr(part, name, self._watched(f"{part.__name__}.{name}", value))
 
     def _watched(self, name: str, function: Any) -> Any:
-        if isinstance(function, type):
-            made = lambda _, *given, **named: self._call(name, function, given, named)  # noqa: E731
-            return type(function.__name__, (), {"__new__": made})
-        return lambda *given, **named: self._call(name, function, given, named)
+        if not isinstance(function, type):
+            return lambda *given, **named: self._call(name, function, given, named)
+        for method, value in list(vars(function).items()):
+            if callable(value) and not method.startswith("_"):
+                setattr(function, method, self._watched(f"{name}.{method}", value))
+        made = lambda _, *given, **named: self._call(name, function, given, named)  # noqa: E731
+        return type(function.__name__, (), {"__new__": made})
 
     def _call(self, name: str, function: Any, given: tuple[Any, ...], named: dict[str, Any]) -> Any:
         calls = self.calls.setdefault(name, [])
         if len(calls) < MOST_CALLS and _bytes((given, named)) < MOST_BYTES:
             calls.append((function, _copied(given), _copied(named)))
-        found = function(*given, **named)
-        if type(found).__module__.startswith("lidarcfg.core"):
-            self._remember_methods(name, found)
-        return found
-
-    def _remember_methods(self, name: str, found: Any) -> None:
-        """An object's methods without arguments, and with those that its type's other calls have, are called, too."""
-        for method in dir(found):
-            if not method.startswith("_") and callable(getattr(found, method)):
-                self.calls.setdefault(f"{name}.{method}", [(getattr(found, method), (), {})])
+        return function(*given, **named)
 
 
 def _bytes(value: Any) -> int:
     if isinstance(value, np.ndarray):
         return value.nbytes
+    value = vars(value) if isinstance(value, SimpleNamespace) else value
     if isinstance(value, dict):
         value = tuple(value.values())
     return sum(map(_bytes, value)) if isinstance(value, tuple | list) else 0
 
 
+def _is_large(value: np.ndarray) -> bool:
+    """Whether an array has more elements than can be copied, though one of them may be all of its memory."""
+    return value.nbytes > MOST_BYTES
+
+
 def _copied(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        return value.copy()
+        return value if _is_large(value) else value.copy()
     if isinstance(value, dict):
         return {key: _copied(one) for key, one in value.items()}
+    if isinstance(value, SimpleNamespace):
+        return SimpleNamespace(**_copied(vars(value)))
     if hasattr(value, "_replace"):
         return type(value)(*map(_copied, value))
     return type(value)(map(_copied, value)) if isinstance(value, tuple | list) else value
@@ -91,6 +100,8 @@ def changed(value: Any, rng: np.random.Generator) -> Any:
     if isinstance(value, dict) and value:
         key = rng.choice(list(value))
         return value | {key: changed(value[key], rng)}
+    if isinstance(value, SimpleNamespace):
+        return SimpleNamespace(**changed(vars(value), rng))
     if hasattr(value, "_replace") and value:
         name = rng.choice(value._fields)
         return value._replace(**{name: changed(getattr(value, name), rng)})
@@ -104,22 +115,25 @@ def changed(value: Any, rng: np.random.Generator) -> Any:
 
 
 def _changed_array(value: np.ndarray, rng: np.random.Generator) -> Any:
-    ways = [
-        lambda: value.astype(rng.choice(["f4", "f8", "i4", "i8", "u1", "u8", "?", ">f8"])),
-        lambda: np.asfortranarray(value),
+    views = [
         lambda: value[::-1],
         lambda: value[..., None],
-        lambda: value.ravel(),
         lambda: value[:0],
         lambda: value[: rng.integers(len(value) + 1)] if value.ndim else value,
+        lambda: None,
+    ]
+    copies = [
+        lambda: value.astype(rng.choice(["f4", "f8", "i4", "i8", "u1", "u8", "?", ">f8"])),
+        lambda: np.asfortranarray(value),
+        lambda: value.ravel(),
         lambda: np.concatenate([value, value]) if value.ndim else value,
         lambda: np.broadcast_to(value.flat[0], (HUGE, *value.shape[1:])) if value.size and value.ndim == 1 else value,
         lambda: _read_only(value),
         lambda: _with_extremes(value, rng),
         lambda: _with_extremes(value, rng),
         lambda: _with_extremes(value, rng),
-        lambda: None,
     ]
+    ways = views if _is_large(value) else views + copies
     return ways[rng.integers(len(ways))]()
 
 
@@ -151,10 +165,24 @@ def main() -> None:
     folder = Path(__file__).parents[1] / "tests/core"
     if pytest.main(["-q", "-p", "no:cacheprovider", str(folder)]) not in (0, 1):  # what tests types of classes fails
         raise SystemExit("the core's tests did not run")
-    rng = np.random.default_rng(arguments.seed)
+    latest = mmap.mmap(-1, MOST_LETTERS)
+    child = os.fork()
+    if not child:
+        call_for(arguments.seconds, seen, np.random.default_rng(arguments.seed), latest)
+        sys.stdout.flush()
+        os._exit(0)
+    if status := os.waitpid(child, 0)[1]:
+        latest_call = latest.read().rstrip(b"\0").decode(errors="replace")
+        raise SystemExit(f"ended by status {os.waitstatus_to_exitcode(status)}; the last call was\n{latest_call}")
+
+
+def call_for(seconds: float, seen: Seen, rng: np.random.Generator, latest: mmap.mmap) -> None:
+    """Make odd calls for a while; the latest one is written to shared memory, which outlives a crash."""
     names = sorted(name for name, calls in seen.calls.items() if calls)
     outcomes: Counter[str] = Counter()
-    until = time.monotonic() + arguments.seconds
+    slowest = (0.0, "")
+    np.set_printoptions(threshold=20, edgeitems=2)
+    until = time.monotonic() + seconds
     while time.monotonic() < until:
         name = names[rng.integers(len(names))]
         function, given, named = seen.calls[name][rng.integers(len(seen.calls[name]))]
@@ -163,14 +191,17 @@ def main() -> None:
             given = changed(given, rng)
         elif named:
             named = changed(named, rng)
+        latest.seek(0)
+        latest.write(f"{name}{given}, {named}".encode()[:MOST_LETTERS].ljust(MOST_LETTERS, b"\0"))
+        start = time.monotonic()
         try:
             function(*given, **named)
             outcomes["results"] += 1
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, MemoryError, OverflowError) as error:
             outcomes[type(error).__name__] += 1
-        except (MemoryError, OverflowError) as error:
-            outcomes[type(error).__name__] += 1
+        slowest = max(slowest, (time.monotonic() - start, name))
     print(f"{sum(outcomes.values()):,} calls of {len(names)} functions:", dict(outcomes))
+    print(f"the slowest took {slowest[0]:.1f} s: {slowest[1]}")
 
 
 if __name__ == "__main__":

@@ -14,9 +14,9 @@ ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "api.md"
 HEAD = """# API reference
 
-Made from the docstrings by `tools/make_api.py`; a test keeps it up to date. It has the names that the package and its
-packages export, and the types that they return. [From Python](python.md) shows how they work together. Lengths are
-metres, angles radians and times integer nanoseconds unless a name says otherwise.
+Made from the docstrings by `tools/make_api.py`; a test keeps it up to date. It has the names that the package exports
+with the types that they return, and a line for each name of its packages. [From Python](python.md) shows how they
+work together. Lengths are metres, angles radians and times integer nanoseconds unless a name says otherwise.
 """
 Definition = ast.FunctionDef | ast.ClassDef
 
@@ -86,9 +86,10 @@ def reference() -> str:
         for source, node in exported(face):
             if (source, node.name) not in seen:
                 seen.add((source, node.name))
-                some.append(definition(node, module(source).lines))
+                some.append(definition(node, module(source).lines) if face == "lidarcfg" else line(node))
         if some:
             parts += [f"## `{face}`\n", f"{module(face).doc}\n", *some]
+            parts += [""] * (face != "lidarcfg")
     return "\n".join(parts)
 
 
@@ -110,6 +111,13 @@ def definition(node: Definition, lines: list[str]) -> str:
                 parts.append(f"- `{name}`{returns(method)}: {text}")
         parts.append("")
     return "\n".join(parts)
+
+
+def line(node: Definition) -> str:
+    """A name with its arguments, and the first paragraph of its docstring."""
+    call = f"{node.name}({ast.unparse(node.args)})" if isinstance(node, ast.FunctionDef) else node.name
+    text = " ".join((ast.get_docstring(node) or "").partition("\n\n")[0].split())
+    return f"- `{call}`{returns(node) if isinstance(node, ast.FunctionDef) else ''}: {text}"
 
 
 def returns(method: ast.FunctionDef) -> str:

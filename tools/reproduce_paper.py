@@ -21,7 +21,7 @@ from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import Placement, optimize
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import segment
-from lidarcfg.report import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
+from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
 
 REFERENCE = json.loads((ROOT / "data/reference/liu2018.json").read_text())
 BEAMS, LIDARS = (4, 8, 16), (1, 2, 3, 4, 5)

@@ -35,7 +35,7 @@ from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import Subspaces, segment
-from lidarcfg.report import COLOURS, new_figure, save_figure
+from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.returns import Poses, Scanner, Target, compiled
 from lidarcfg.world.meshes import read_mesh

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 import lidarcfg
-from lidarcfg import report
 from lidarcfg.placement.report_inputs import report_inputs
+from lidarcfg.report import Commands, save_comparison
+from lidarcfg.report.comparison import contenders
 
 # %% Two rigs in one study
 # Two sensors on the roof; and the study's four, each at the midpoint of its bounds.
@@ -38,5 +39,5 @@ for name, rig in full.items():
 # %% One page for a review
 named = [(f"{name}.yaml", rig, full[name]) for name, rig in rigs.items()]
 out = Path("out/examples/compared")
-report.save_comparison(study, report.contenders(named), out, report.Commands("docs/examples/compare.py", ""))
+save_comparison(study, contenders(named), out, Commands("docs/examples/compare.py", ""))
 print(f"{out}/compare.html, {(out / 'compare.html').stat().st_size / 1e6:.1f} MB")

@@ -12,8 +12,8 @@ from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate, load_cloud, save_clouds
+from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.page import page_of, save_html
-from lidarcfg.viewer.stage import Stage
 from lidarcfg.viewer.still import save_still
 
 out = Path("out/examples")
@@ -51,7 +51,7 @@ assert np.array_equal(again.time_ns, cloud.time_ns)
 
 # %% A picture and a page
 # The page is one file that opens in any browser, without a server or a network.
-stage = Stage(cloud, objects=None, rigs=(rig,), study=None, scenes=(scene,), T_world_vehicle=np.eye(4))
-save_still(stage, out / "turn.png", (960, 540), by="height")
-save_html(page_of(stage, by="height"), out / "turn.html")
+contents = Contents(cloud, objects=None, rigs=(rig,), study=None, scenes=(scene,), T_world_vehicle=np.eye(4))
+save_still(contents, out / "turn.png", (960, 540), by="height")
+save_html(page_of(contents, by="height"), out / "turn.html")
 print(f"{out}/turn.png and {out}/turn.html, {(out / 'turn.html').stat().st_size / 1e6:.1f} MB")

@@ -10,7 +10,7 @@ import numpy as np
 import lidarcfg
 from lidarcfg.geometry import pose
 from lidarcfg.placement.study import with_solver
-from lidarcfg.viewer.stage import Stage
+from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.still import save_still
 
 out = Path("out/examples")
@@ -45,5 +45,7 @@ assert set(cloud.sensor_names) == {mount.name for mount in found.rig.mounts}
 
 # %% A look at it
 scene = lidarcfg.load_scene("data/scenes/street.yaml")
-stage = Stage(cloud, objects=None, rigs=(found.rig,), study=None, scenes=(scene,), T_world_vehicle=T_world_vehicle)
-save_still(stage, out / "tour.png", (960, 540), by="height")
+contents = Contents(
+    cloud, objects=None, rigs=(found.rig,), study=None, scenes=(scene,), T_world_vehicle=T_world_vehicle
+)
+save_still(contents, out / "tour.png", (960, 540), by="height")

@@ -1,5 +1,6 @@
 """The command line.
 
-`main` has the help page and the exit codes; each other module is a command, or what several commands share. A command
-reads its inputs, makes one library call and prints one table.
+To read in this order: `main` has the help page and the exit codes. A module for each command reads its inputs, makes
+one library call and prints one table; `files` has the commands that write and check files, with its `templates` and
+`schemas`. All share `options`, `completion` and `progress`.
 """

@@ -34,20 +34,23 @@ def compare(
     Compares max VSR, the worst subspaces, detection and coverage, and marks the best of each row. The study's bounds
     on the poses are not enforced.
     """
-    from lidarcfg import report
     from lidarcfg.placement.evaluation import evaluate as evaluation
     from lidarcfg.placement.report_inputs import report_inputs
     from lidarcfg.placement.study import load_study
+    from lidarcfg.report.comparison import COMPARED, check_count, comparison_dict, contenders, save_comparison
+    from lidarcfg.report.document import Commands
+    from lidarcfg.report.results import check_writable, to_json
+    from lidarcfg.report.tables import print_comparison
     from lidarcfg.sensors.rig import load_rig
 
-    report.check_count(len(rigs))
+    check_count(len(rigs))
     loaded = load_study(study)
     mounted = [load_rig(rig) for rig in rigs]
     warn_of(loaded.vehicle)
     for path, rig in zip(rigs, mounted, strict=True):
         check_rig(loaded, path, rig)
     if output:
-        report.check_writable(output, report.COMPARED)
+        check_writable(output, COMPARED)
     named = []
     with progress(quiet or as_json) as on_progress:
         for n, (path, rig) in enumerate(zip(rigs, mounted, strict=True)):
@@ -59,12 +62,12 @@ def compare(
             found = evaluation(loaded, rig, tolerance, on_progress=on_evaluated)
             shown = report_inputs(loaded, rig, found, cheap_cuboids=0).without_cuboids()
             named.append((str(path), rig, shown))
-    compared = report.contenders(named)
+    compared = contenders(named)
     if output:
-        report.save_comparison(loaded, compared, output, report.Commands(command_line(), command_line()))
+        save_comparison(loaded, compared, output, Commands(command_line(), command_line()))
     if as_json:
-        click.echo(report.to_json(report.comparison_dict(loaded, compared)))
+        click.echo(to_json(comparison_dict(loaded, compared)))
     elif not quiet:
-        report.print_comparison(loaded, compared)
+        print_comparison(loaded, compared)
         if output:
             click.echo(f"written to {output}/: compare.html compare.json")

@@ -1,11 +1,31 @@
-"""lidarcfg completion: the script that a shell needs to complete commands, options and names."""
+"""lidarcfg completion: the script that a shell needs; and what it completes of sensors' and mounts' names."""
 
 import os
 from pathlib import Path
 
 import click
 import cloup
-from click.shell_completion import get_completion_class
+from click.shell_completion import CompletionItem, get_completion_class
+
+
+def complete_model(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The catalogue's sensors whose names start with `incomplete`; files if there are none."""
+    from lidarcfg.sensors.sensor import catalogue
+
+    names = [CompletionItem(name) for name in catalogue() if name.startswith(incomplete)]
+    return names or [CompletionItem(incomplete, type="file")]
+
+
+def complete_mount(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The mounts of the rig given by --rig whose names start with `incomplete`; nothing if it cannot be read."""
+    from lidarcfg.errors import LidarcfgError
+    from lidarcfg.sensors.rig import load_rig
+
+    try:
+        names = [mount.name for mount in load_rig(ctx.params["rig"]).mounts] if ctx.params.get("rig") else []
+    except LidarcfgError:
+        names = []
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
 def _own_shell() -> str:

@@ -80,7 +80,7 @@ def convert(
     capture:              folder   rosbag2       a PointCloud2 per scan (SQLite)
       .pcap .pcapng       folder   rosbag2-mcap  the same as MCAP; needs --to
                           .mcap    mcap          the same as one MCAP file
-                          .bag     rosbag1       the same of ROS 1
+                          .bag     rosbag1       the same for ROS 1
                           folder   kitti-odometry  needs --truth of an export
                           folder   kitti-object  the same: labels, boxes
                           folder   nuscenes      the same: all tables
@@ -147,7 +147,7 @@ def _single(models: tuple[str, ...]) -> str | None:
 
 
 def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
-    """What an export noted of a capture, or none if it is a recording. Raises ConfigError, also where it is needed."""
+    """The drive that an export's manifest describes; None for a recording. Raises ConfigError where it is needed."""
     from lidarcfg.capture.manifest import load_manifest, manifest_path
     from lidarcfg.errors import ConfigError
     from lidarcfg.io.formats import FOLDERS

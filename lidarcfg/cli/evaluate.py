@@ -13,7 +13,7 @@ from lidarcfg.cli.progress import progress
 
 if TYPE_CHECKING:
     from lidarcfg.placement.study import Study
-    from lidarcfg.report import Baseline
+    from lidarcfg.report.document import Baseline
     from lidarcfg.sensors.rig import Rig
 
 baseline_option = cloup.option("--baseline", type=FILE, metavar="RIG", help="Compare the result with this rig.")
@@ -50,11 +50,21 @@ def evaluate(
     """
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
-        from lidarcfg import report
         from lidarcfg.placement.evaluation import evaluate as evaluation
         from lidarcfg.placement.report_inputs import report_inputs
         from lidarcfg.placement.sensitivity import robustness
         from lidarcfg.placement.study import load_study
+        from lidarcfg.report.comparison import with_baseline
+        from lidarcfg.report.document import Commands
+        from lidarcfg.report.results import (
+            EVALUATED,
+            baseline_dict,
+            check_writable,
+            evaluation_dict,
+            save_evaluation,
+            to_json,
+        )
+        from lidarcfg.report.tables import print_comparison, print_evaluation
         from lidarcfg.sensors.rig import load_rig
 
         loaded = load_study(study)
@@ -62,7 +72,7 @@ def evaluate(
     warn_of(loaded.vehicle)
     check_rig(loaded, rig, mounted)
     if output:
-        report.check_writable(output, report.EVALUATED)
+        check_writable(output, EVALUATED)
     with progress(quiet or as_json, keep=False) as on_progress:
         beside = baseline_of(loaded, baseline, on_progress)
         on_progress(0.0, f"evaluating {rig}")
@@ -70,23 +80,23 @@ def evaluate(
         shown = report_inputs(loaded, mounted, found) if output or beside else None
         found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
         if output and shown:
-            commands = report.Commands(command_line(), command_line())
-            report.save_evaluation(loaded, mounted, shown, output, commands, beside)
+            commands = Commands(command_line(), command_line())
+            save_evaluation(loaded, mounted, shown, output, commands, beside)
     if as_json:
-        values = report.evaluation_dict(loaded, mounted, found)
-        values |= {"baseline": report.baseline_dict(loaded, beside)} if beside else {}
-        click.echo(report.to_json(values))
+        values = evaluation_dict(loaded, mounted, found)
+        values |= {"baseline": baseline_dict(loaded, beside)} if beside else {}
+        click.echo(to_json(values))
     elif not quiet:
-        report.print_evaluation(mounted, found)
+        print_evaluation(mounted, found)
         if shown and beside:
-            report.print_comparison(loaded, report.with_baseline(mounted, rig, shown, beside))
+            print_comparison(loaded, with_baseline(mounted, rig, shown, beside))
 
 
 def baseline_of(study: "Study", path: Path | None, on_progress: OnProgress) -> "Baseline | None":
     """The rig to compare with, evaluated. Raises ConfigError if it cannot be evaluated in the study."""
-    from lidarcfg import report
     from lidarcfg.placement.evaluation import evaluate as evaluation
     from lidarcfg.placement.report_inputs import report_inputs
+    from lidarcfg.report.document import Baseline
     from lidarcfg.sensors.rig import load_rig
 
     if path is None:
@@ -94,7 +104,7 @@ def baseline_of(study: "Study", path: Path | None, on_progress: OnProgress) -> "
     on_progress(0.0, f"evaluating {path}")
     rig = load_rig(path)
     check_rig(study, path, rig)
-    return report.Baseline(rig, str(path), report_inputs(study, rig, evaluation(study, rig)).without_cuboids())
+    return Baseline(rig, str(path), report_inputs(study, rig, evaluation(study, rig)).without_cuboids())
 
 
 def check_rig(study: "Study", path: Path, rig: "Rig") -> None:
@@ -102,7 +112,7 @@ def check_rig(study: "Study", path: Path, rig: "Rig") -> None:
     from lidarcfg.placement.checks import rig_warnings
     from lidarcfg.world.vehicle import check_outside
 
-    for message in rig_warnings(path):
+    for message in rig_warnings(path, study.requirements.site.ground_m if study.requirements else None):
         warn(message)
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts, path)

@@ -108,9 +108,9 @@ def export(
     .pcap       packets
     .ply .npz   one cloud, each point's object, boxes
     .pcd        the same without boxes
-    .mcap       points, objects, boxes, /tf of ROS 2
-    .bag        rosbag1: the same of ROS 1
-    folder      rosbag2, rosbag2-mcap: of ROS 2
+    .mcap       points, objects, boxes, /tf for ROS 2
+    .bag        rosbag1: the same for ROS 1
+    folder      rosbag2, rosbag2-mcap: for ROS 2
     folder      kitti-odometry, kitti-object,
                 nuscenes: each needs --to
     """

@@ -10,7 +10,7 @@ from lidarcfg.cli.options import FILE, quiet_option, warn
 from lidarcfg.errors import LidarcfgError, one_line
 
 TEMPLATES = ("study", "rig", "scene", "sensor")
-SCHEMAS = (*TEMPLATES, "vehicle", "trajectory", "plan")
+SCHEMAS = (*TEMPLATES, "requirements", "scenario", "vehicle", "trajectory", "plan")
 
 
 @cloup.command(
@@ -55,8 +55,8 @@ def init(kind: str, output: Path, vehicle: str | None, quiet: bool) -> None:
 def validate(files: tuple[Path, ...], quiet: bool) -> None:
     """Check files, and print what each is and what it would do.
 
-    Studies, rigs, scenes, sensors, vehicles, trajectories and plans are told apart by their keys. Anything that is
-    allowed but looks wrong is a warning. Exits with 2 if a file has an error.
+    Studies, requirements, scenarios, rigs, scenes, sensors, vehicles, trajectories and plans are told apart by their
+    keys. Anything that is allowed but looks wrong is a warning. Exits with 2 if a file has an error.
     """
     from lidarcfg.report.summaries import summary
 

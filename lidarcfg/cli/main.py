@@ -1,7 +1,4 @@
-"""The command line: its help page and its exit codes.
-
-Each module of `commands` reads inputs, makes one library call and prints one table.
-"""
+"""The command line: its help page and its exit codes."""
 
 import gc
 import io
@@ -20,11 +17,12 @@ from lidarcfg.cli.decode import decode
 from lidarcfg.cli.evaluate import evaluate
 from lidarcfg.cli.export import export
 from lidarcfg.cli.files import init, schema, validate
-from lidarcfg.cli.interrupts import Interrupts
 from lidarcfg.cli.optimize import optimize
+from lidarcfg.cli.progress import Interrupts
 from lidarcfg.cli.replay import replay
 from lidarcfg.cli.sensors import sensors
 from lidarcfg.cli.sweep import sweep
+from lidarcfg.cli.verify import verify
 from lidarcfg.cli.view import view
 from lidarcfg.errors import ConfigError, LidarcfgError, one_line, reason
 from lidarcfg.inputs import LIBRARIES_BYTES, check_memory, is_out_of_memory, out_of_memory
@@ -34,7 +32,11 @@ EPOCH_DIGITS = 11  # of the seconds since 1970, to the year 5138
 
 
 def main() -> None:
-    """Entry point. Exits with 0 when done, 2 after a mistake of the user's, 130 after Ctrl-C, 1 after a bug."""
+    """Entry point.
+
+    Exits with 0 when done, 2 after a mistake of the user's, 3 if a requirement is not met, 130 after Ctrl-C, 1 after a
+    bug.
+    """
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
     interrupts = Interrupts()
     interrupts.listen()
@@ -106,7 +108,7 @@ def _command_path(error: click.ClickException) -> str:
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     sections=[
-        cloup.Section("Place sensors on a vehicle", [optimize, evaluate, compare, sweep]),
+        cloup.Section("Place sensors on a vehicle", [optimize, evaluate, verify, compare, sweep]),
         cloup.Section("Simulate and read captures", [export, decode, replay]),
         cloup.Section("Look at the results", [view]),
         cloup.Section("Use them in other tools", [convert]),

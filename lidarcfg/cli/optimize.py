@@ -9,8 +9,6 @@ import click
 import cloup
 
 from lidarcfg.cli.evaluate import OnProgress, baseline_of, baseline_option
-from lidarcfg.cli.front import find_front
-from lidarcfg.cli.interrupts import Interrupts
 from lidarcfg.cli.options import (
     FILE,
     SAVE_EVERY_S,
@@ -20,9 +18,10 @@ from lidarcfg.cli.options import (
     warn,
     warn_of,
 )
-from lidarcfg.cli.progress import progress
+from lidarcfg.cli.progress import Interrupts, progress
 
 if TYPE_CHECKING:
+    from lidarcfg.placement.front import FrontRun, Point
     from lidarcfg.placement.optimize import Cycle, Log, Placement
     from lidarcfg.placement.report_inputs import ReportInputs
     from lidarcfg.placement.study import Study
@@ -50,7 +49,10 @@ QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on th
     ),
     cloup.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Random seed.  [default: the study's]"),
     cloup.option(
-        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Does not change the result.  [default: all cores]"
+        "--threads",
+        type=click.IntRange(1, 1024),
+        metavar="N",
+        help="Threads; the result is the same.  [default: all cores]",
     ),
     cloup.option("--resume", type=FILE, metavar="DIR", help="Continue the search whose results are in DIR."),
 )
@@ -87,9 +89,12 @@ def optimize(
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
-        from lidarcfg import report
         from lidarcfg.placement.checks import study_warnings
         from lidarcfg.placement.study import load_study, with_solver
+        from lidarcfg.report.comparison import with_baseline
+        from lidarcfg.report.document import Commands
+        from lidarcfg.report.results import RESULTS, check_writable, load_log, save_placement
+        from lidarcfg.report.tables import print_comparison, print_placement
 
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
@@ -103,21 +108,21 @@ def optimize(
             raise click.UsageError(
                 "--baseline is for one rig, and this study has a front of them; compare these with it"
             )
-        find_front(loaded, study, folder, resume, threads, quiet)
+        _find_front(loaded, study, folder, resume, threads, quiet)
         return
-    log = report.load_log(loaded, resume) if resume else None
-    report.check_writable(folder, report.RESULTS)
+    log = load_log(loaded, resume) if resume else None
+    check_writable(folder, RESULTS)
     with progress(quiet, keep=False) as on_progress:
         beside = baseline_of(loaded, baseline, on_progress)
     with progress(quiet) as on_progress:
         found, shown = _search(loaded, threads, log, folder, on_progress)
         on_progress(1.0, f"writing {folder}")
         again = _repeat_command(study, folder, loaded.solver, found)
-        report.save_placement(loaded, found, shown, folder, report.Commands(command_line(), again), beside)
+        save_placement(loaded, found, shown, folder, Commands(command_line(), again), beside)
     if not quiet:
-        report.print_placement(found, shown.evaluation)
+        print_placement(found, shown.evaluation)
         if beside:
-            report.print_comparison(loaded, report.with_baseline(found.rig, folder / "rig.yaml", shown, beside))
+            print_comparison(loaded, with_baseline(found.rig, folder / "rig.yaml", shown, beside))
         files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
         click.echo(f"written to {folder}/: {files}")
     if found.interrupted:
@@ -131,28 +136,29 @@ def _search(
     """The best rig, with progress; what is found so far is saved every few seconds."""
     import time
 
-    from lidarcfg import report
     from lidarcfg.placement.optimize import Budget
     from lidarcfg.placement.optimize import optimize as search
     from lidarcfg.placement.report_inputs import report_inputs
+    from lidarcfg.report.results import save_progress
 
-    saved = told = time.monotonic()
+    saved_s = time.monotonic()
+    shown_s = saved_s
     fraction = 0.0
 
     def on_cycle(cycle: "Cycle", rig: "Rig", log: "Log") -> None:
-        nonlocal saved, told, fraction
+        nonlocal saved_s, shown_s, fraction
         fraction = min(budget.fraction(cycle.evaluations, cycle.cycle), 1.0)
         on_progress(fraction, _search_line(cycle))
-        told = time.monotonic()
-        if told - saved > SAVE_EVERY_S:
-            report.save_progress(study, rig, log, folder)
-            saved = time.monotonic()
+        shown_s = time.monotonic()
+        if shown_s - saved_s > SAVE_EVERY_S:
+            save_progress(study, rig, log, folder)
+            saved_s = time.monotonic()
 
     def on_evaluations(count: int) -> None:
-        nonlocal told
-        if time.monotonic() - told > QUIET_S:  # a cycle takes long
+        nonlocal shown_s
+        if time.monotonic() - shown_s > QUIET_S:  # a cycle takes long
             on_progress(max(fraction, min(budget.fraction(count, 0), 1.0)), f"{count:,} rigs evaluated")
-            told = time.monotonic()
+            shown_s = time.monotonic()
 
     on_progress(0.0, "searching")
     budget = Budget.of(study.solver)
@@ -176,3 +182,59 @@ def _search_line(cycle: "Cycle") -> str:
     """The state of the search."""
     state = f"cycle {cycle.cycle}  best {cycle.best:.4f}  mean {cycle.mean:.4f}"
     return f"{state}  {cycle.evaluations / cycle.seconds:,.0f} evaluations/s"
+
+
+def _find_front(
+    study: "Study", path: Path, folder: Path, resume: Path | None, threads: int | None, quiet: bool
+) -> None:
+    """Search the study read from `path`, write the folder, print the table. Exits with 130 after Ctrl-C."""
+    import time
+
+    from lidarcfg.placement.combinations import combinations
+    from lidarcfg.placement.front import front
+    from lidarcfg.report.document import Commands
+    from lidarcfg.report.front import load_front_logs, save_front, save_front_log
+    from lidarcfg.report.results import FRONT, check_writable
+    from lidarcfg.report.tables import print_front
+
+    logs = load_front_logs(study, resume, len(combinations(study))) if resume else []
+    check_writable(folder, FRONT)
+    saved = time.monotonic()
+    with progress(quiet) as on_progress:
+
+        def on_part(search: "FrontRun") -> None:
+            nonlocal saved
+            on_progress(search.spent, _front_line(search))
+            if time.monotonic() - saved > SAVE_EVERY_S:
+                save_front_log(study, search.logs(), folder)
+                saved = time.monotonic()
+
+        found = front(study, threads, on_part, logs)
+    if found.interrupted:
+        click.get_current_context().ensure_object(Interrupts).take()
+    words = ("--solver", study.solver.method, "--seed", study.solver.seed, "--evaluations", max(found.evaluations, 1))
+    again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words)))
+    untried = sum(not one.evaluations for one in found.candidates)
+    if untried:
+        warn(f"the budget was spent before {untried} of {len(found.candidates)} combinations were tried")
+    with progress(quiet) as on_progress:
+
+        def on_point(number: int, point: "Point") -> None:
+            on_progress(number / len(found.points), f"report of {point.combination.name}")
+
+        save_front(study, found, folder, Commands(command_line(), again), on_point)
+    if not quiet:
+        print_front(study, found)
+        click.echo(f"written to {folder}/: front.html front.json front.png history.csv search.npz points/")
+    if found.interrupted:
+        click.echo("interrupted; the front so far is kept", err=True)
+        sys.exit(130)
+
+
+def _front_line(search: "FrontRun") -> str:
+    """One line on the state of the search."""
+    on_front = search.on_front()
+    rate = search.evaluations / max(search.seconds, 1e-9)
+    tried = sum(one.evaluations > 0 for one in search.searches)
+    state = f"{sum(on_front)} on the front, {tried} of {len(on_front)} combinations tried"
+    return f"{state}  {rate:,.0f} evaluations/s"

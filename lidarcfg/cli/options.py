@@ -1,4 +1,4 @@
-"""What the commands share: option types, options, completion, and values parsed from text."""
+"""What the commands share: option types, options, warnings, and values parsed from text."""
 
 import math
 import shlex
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import cloup
-from click.shell_completion import CompletionItem
 
+from lidarcfg.cli.completion import complete_model, complete_mount
 from lidarcfg.errors import one_line
 
 if TYPE_CHECKING:
@@ -58,26 +58,6 @@ class Factor(PositiveNumber):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """The number, or click's error."""
         return super().convert(value.rstrip("xX×") if isinstance(value, str) else value, param, ctx)
-
-
-def complete_model(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The catalogue's sensors whose names start with `incomplete`; files if there are none."""
-    from lidarcfg.sensors.sensor import catalogue
-
-    names = [CompletionItem(name) for name in catalogue() if name.startswith(incomplete)]
-    return names or [CompletionItem(incomplete, type="file")]
-
-
-def complete_mount(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The mounts of the rig given by --rig whose names start with `incomplete`; nothing if it cannot be read."""
-    from lidarcfg.errors import LidarcfgError
-    from lidarcfg.sensors.rig import load_rig
-
-    try:
-        names = [mount.name for mount in load_rig(ctx.params["rig"]).mounts] if ctx.params.get("rig") else []
-    except LidarcfgError:
-        names = []
-    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
 model_option = cloup.option(

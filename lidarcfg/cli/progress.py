@@ -1,19 +1,114 @@
-"""How far a command is: on a terminal a bar, in a log a line from time to time."""
+"""How far a command is, a bar on a terminal and lines in a log; and the signals that end it, such as Ctrl-C."""
 
+import os
+import signal
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from lidarcfg.cli.interrupts import Interrupts
 from lidarcfg.errors import one_line
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 LINE_S = 10.0  # between two lines of a log
 KNOWN_S = 5.0  # of work, before its rate says how long the rest takes
 THIN_S = 0.5  # between two updates that the rate is made of
+SIGNALS = "SIGINT", "SIGTERM", "SIGHUP"  # not all of them exist on Windows
+SHOW_CURSOR = b"\r\x1b[2K\x1b[?25h"  # on an empty line: bars hide it
+
+
+class Screen:
+    """One bar on stderr for all that a command does."""
+
+    def __init__(self) -> None:
+        self._bar: Progress | None = None
+
+    def bar(self) -> "Progress":
+        """The bar, on the screen."""
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        if self._bar is None:
+            left = TextColumn("{task.fields[left]}")
+            columns = (BarColumn(30), TextColumn("{task.description}"), TimeElapsedColumn(), left)
+            self._bar = Progress(*columns, console=Console(stderr=True))
+            self._bar.start()
+        return self._bar
+
+    def close(self, clear: bool = False) -> None:
+        """Leave the last state of the bar, and go on below it, or leave nothing."""
+        bar = self._bar
+        self._bar = None
+        if bar:
+            bar.live.transient = clear
+            bar.stop()
+
+
+class Interrupts:
+    """The handler of the signals that end a command.
+
+    The first signal raises KeyboardInterrupt, so that temporary files are removed and a search keeps what it found. A
+    callback of a C library may swallow the exception; `check` then raises it at the next progress. Other code it may
+    break, such as a lock that is being released; so whatever error follows, the command was interrupted. A second
+    signal ends the process at once.
+    """
+
+    def __init__(self) -> None:
+        self.screen = Screen()
+        self.raised = False  # KeyboardInterrupt was, and the command has not gone on
+        self.doing = ""  # by the latest progress
+        self._came = False
+        self._done = False
+
+    def listen(self) -> None:
+        """Handle the signals from now on, but for those that the caller ignores, as nohup has it."""
+        for name in SIGNALS:
+            number = getattr(signal, name, None)
+            if number and signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self.handle)
+
+    def handle(self, number: int, frame: FrameType | None) -> None:
+        """The signal handler."""
+        if self._done:
+            return
+        if self.raised:
+            self.end()
+        self._came = True
+        self.raised = True
+        raise KeyboardInterrupt
+
+    def check(self, doing: str) -> None:
+        """Raise KeyboardInterrupt if a signal came before this is being done."""
+        self.doing = doing
+        if self._came:
+            self.raised = True
+            raise KeyboardInterrupt
+
+    def take(self) -> None:
+        """Go on: a search was interrupted, and its result is there."""
+        self._came = False
+        self.raised = False
+
+    def finish(self) -> None:
+        """Ignore signals from now on: all is done."""
+        self._done = True
+
+    def end(self) -> NoReturn:
+        """End the process at once, without its temporary files, and without waiting for threads that still work."""
+        self._done = True
+        from lidarcfg.files import remove_temporary
+
+        remove_temporary()
+        with suppress(OSError):  # not by the streams, which may be in use as the signal comes
+            os.write(2, SHOW_CURSOR * os.isatty(2) + b"interrupted\n")
+        os._exit(130)
 
 
 def duration(seconds: float) -> str:
@@ -93,19 +188,19 @@ def _left(pace: Pace, fraction: float) -> str:
 
 def _lines(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
     last = ""
-    told = time.monotonic()
+    shown_s = time.monotonic()
     pace = Pace(mean_over_s)
 
     def on_progress(fraction: float, text: str) -> None:
-        nonlocal last, told
+        nonlocal last, shown_s
         interrupts.check(text)
         last = f"{fraction:4.0%}  {one_line(text)}"
         now = time.monotonic()
         left = _left(pace, fraction)
-        if now - told > LINE_S:
+        if now - shown_s > LINE_S:
             click.echo(f"{last}  {left}".rstrip(), err=True)
             last = ""
-            told = now
+            shown_s = now
 
     yield on_progress
     if last and keep:

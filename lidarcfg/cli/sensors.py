@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 import cloup
 
-from lidarcfg.cli.options import Png, complete_model, quiet_option
+from lidarcfg.cli.completion import complete_model
+from lidarcfg.cli.options import Png, quiet_option
 
 
 @cloup.group(
@@ -27,11 +28,11 @@ def sensors(context: click.Context) -> None:
 @quiet_option
 def list_sensors(quiet: bool = False) -> None:
     """List the models: name, beams, elevations, range."""
-    from lidarcfg import report
+    from lidarcfg.report.sensors import print_sensors
     from lidarcfg.sensors.sensor import catalogue, load_sensor
 
     if not quiet:
-        report.print_sensors([load_sensor(name) for name in catalogue()])
+        print_sensors([load_sensor(name) for name in catalogue()])
 
 
 @sensors.command(
@@ -48,11 +49,12 @@ def list_sensors(quiet: bool = False) -> None:
 @quiet_option
 def show_sensor(name: str, png: Path | None, quiet: bool) -> None:
     """Show a model: beam table, timing and packet facts with their sources."""
-    from lidarcfg import report
+    from lidarcfg.report.plots import save_figure
+    from lidarcfg.report.sensors import draw_sensor, print_sensor
     from lidarcfg.sensors.sensor import load_sensor
 
     sensor = load_sensor(name)
     if png:
-        report.save_figure(report.draw_sensor(sensor), png)
+        save_figure(draw_sensor(sensor), png)
     if not quiet:
-        report.print_sensor(sensor)
+        print_sensor(sensor)

@@ -17,12 +17,12 @@ from lidarcfg.errors import ConfigError
 if TYPE_CHECKING:
     from lidarcfg.placement.plan import Plan, SweepCase
     from lidarcfg.placement.sweep import Outcome, Workers
-    from lidarcfg.report import SweepFolder
+    from lidarcfg.report.sweep import SweepFolder
 
 
 @dataclass(frozen=True)
-class Where:
-    """Where runs are done."""
+class WorkerOptions:
+    """Local processes, or the workers of a cluster."""
 
     scheduler: str | None  # of a cluster
     processes: int  # where there is none
@@ -60,27 +60,27 @@ def sweep(
     Writes a table with one row per run, a plot, and the rig of each run. If the command is interrupted, run it again:
     it does only the missing runs. The result depends neither on the number of workers nor on where they run.
     """
-    from lidarcfg import report
     from lidarcfg.placement.plan import load_plan
+    from lidarcfg.report.sweep import SweepFolder
 
     if scheduler and workers:
         raise click.UsageError("--workers are local; a cluster has as many as its scheduler knows")
     with progress(quiet) as on_progress:
         loaded = load_plan(plan, lambda n, count: on_progress(n / count, f"checked {n} of {count} runs"))
     folder = output or Path("out") / loaded.path.stem
-    kept = report.SweepFolder(folder, loaded)
+    kept = SweepFolder(folder, loaded)
     missing = [run for run in loaded.runs if not kept.row(run)]
     if not quiet:
         click.echo(f"{len(loaded.runs)} runs, {len(loaded.runs) - len(missing)} of them done")
-    where = Where(scheduler, min(workers or _processors(), max(len(missing), 1)))
+    options = WorkerOptions(scheduler, min(workers or _processors(), max(len(missing), 1)))
     if dry_run:
-        _estimate(loaded, missing, where, quiet)
+        _estimate(loaded, missing, options, quiet)
         return
     kept.start()
     failed = 0
     try:
         if missing:
-            failed = _do(loaded, missing, kept, where, quiet)
+            failed = _run_missing(loaded, missing, kept, options, quiet)
     finally:
         written = kept.save_tables()
     if failed:
@@ -96,7 +96,9 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
-def _do(plan: "Plan", runs: list["SweepCase"], kept: "SweepFolder", where: Where, quiet: bool) -> int:
+def _run_missing(
+    plan: "Plan", runs: list["SweepCase"], kept: "SweepFolder", options: WorkerOptions, quiet: bool
+) -> int:
     """Do the runs, and keep what comes of them; returns how many have no rig."""
     from lidarcfg.placement.sweep import sweep
 
@@ -116,7 +118,7 @@ def _do(plan: "Plan", runs: list["SweepCase"], kept: "SweepFolder", where: Where
             show()
 
         show()
-        workers = where.workers()
+        workers = options.workers()
         try:
             sweep(plan, runs, workers, done)
         finally:
@@ -124,11 +126,11 @@ def _do(plan: "Plan", runs: list["SweepCase"], kept: "SweepFolder", where: Where
     return failed
 
 
-def _estimate(plan: "Plan", runs: list["SweepCase"], where: Where, quiet: bool) -> None:
+def _estimate(plan: "Plan", runs: list["SweepCase"], options: WorkerOptions, quiet: bool) -> None:
     """Print about how long some runs of a plan take."""
     from lidarcfg.placement.sweep import Pace, pace, size
 
-    workers = where.workers()
+    workers = options.workers()
     count = workers.count
     workers.close()
     paces: dict[str, Pace | None] = {}
@@ -145,6 +147,6 @@ def _estimate(plan: "Plan", runs: list["SweepCase"], where: Where, quiet: bool) 
             if found := paces[key]:
                 seconds.append(found.seconds(run.file.solver))
     took = duration(max(sum(seconds) / count, *seconds))
-    click.echo(f"about {took} with {count} workers, by a short search of each of {len(paces)} sizes")
+    click.echo(f"about {took} with {count} workers, estimated by a short search of each of {len(paces)} sizes")
     if unknown := len(runs) - len(seconds) + 1:
-        click.echo(f"without {unknown} runs for which those find no rig")
+        click.echo(f"{unknown} runs are not counted: their short search found no rig")

@@ -85,5 +85,6 @@ def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[fl
         "top_high": (middle_m + length / 8, high[1] - side / 2, high[2] + 0.1),
         "ahead_low": (0, -3, floor_m),
         "ahead_high": (x, 3, floor_m + 2),
+        "ahead_top": (x, 3, floor_m + 3),
     }
     return {key: [round(value, 2) for value in corner] for key, corner in boxes.items()}

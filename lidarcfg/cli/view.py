@@ -22,8 +22,8 @@ from lidarcfg.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from lidarcfg.viewer.contents import Contents
     from lidarcfg.viewer.page import Page
-    from lidarcfg.viewer.stage import Stage
 
 # as lidarcfg.viewer.colours and placement.evaluation have them, which take a second to load
 COLOURS = ("sensor", "intensity", "ring", "height", "time", "object")
@@ -156,15 +156,14 @@ def view(
     Without --html, --png or --window an interactive page is served on this machine until Ctrl-C. With a study, the
     rig's sensors can be dragged; max VSR and the worst subspaces are updated. Ground truth (export --truth) given
     beside its capture names the object that each point lies on. Rig, scene, vehicle and trajectory of an exported
-    capture are taken from the .pcap.yaml beside it.
+    capture are taken from its manifest, the .pcap.yaml beside it.
     """
     import numpy as np
 
     from lidarcfg.capture.selection import Selection
     from lidarcfg.viewer.camera import Camera
-    from lidarcfg.viewer.manifests import DriveInputs, complete_inputs
+    from lidarcfg.viewer.contents import DriveInputs, complete_inputs, load_contents
     from lidarcfg.viewer.page import page_of, save_html
-    from lidarcfg.viewer.stage import load_stage
     from lidarcfg.viewer.still import save_still
     from lidarcfg.viewer.window import show_window
 
@@ -172,36 +171,38 @@ def view(
     given = DriveInputs(rig, trajectory=trajectory, at=at, start=start)
     paths, known = complete_inputs(files, given, warn)
     drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
-    stage = load_stage(paths, known.rig, model, drive, warn, Selection(from_s, to_s, sensors), known.vehicle)
-    if start and stage.trajectory.path.is_static and not stage.scenes:
-        raise click.UsageError("--start says when a --trajectory starts, and the objects of a scene; there is neither")
-    count = len(stage.cloud.xyz)
+    contents = load_contents(paths, known.rig, model, drive, warn, Selection(from_s, to_s, sensors), known.vehicle)
+    if start and contents.trajectory.path.is_static and not contents.scenes:
+        raise click.UsageError(
+            "--start is the time at which a --trajectory or a scene's motion starts; there is neither"
+        )
+    count = len(contents.cloud.xyz)
     if png:
-        save_still(stage, png, size, seen_from, colour, worst)
+        save_still(contents, png, size, seen_from, colour, worst)
         if not quiet:
             click.echo(f"{png}: {count:,} points")
     if window:
-        show_window(stage, colour)
+        show_window(contents, colour)
     if html or not (png or window):
-        page = page_of(stage, colour, seen_from, worst, served=html is None)
+        page = page_of(contents, colour, seen_from, worst, served=html is None)
         if html:
             save_html(page, html)
             if not quiet:
                 click.echo(f"{html}: {count:,} points, {html.stat().st_size / 1e6:.1f} MB")
         else:
-            _serve(stage, page, port, quiet)
+            _serve(contents, page, port, quiet)
 
 
-def _serve(stage: "Stage", page: "Page", port: int, quiet: bool) -> None:
+def _serve(contents: "Contents", page: "Page", port: int, quiet: bool) -> None:
     """Serve the page until Ctrl-C, and open it where there is a browser with a screen."""
     import webbrowser
 
     from lidarcfg.viewer.server import Server
     from lidarcfg.viewer.window import has_screen
 
-    with Server(stage, page, port) as server:
+    with Server(contents, page, port) as server:
         if not quiet:
-            click.echo(f"{server.url} shows {len(stage.cloud.xyz):,} points; Ctrl-C ends it")
+            click.echo(f"{server.url} shows {len(contents.cloud.xyz):,} points; Ctrl-C ends it")
         if has_screen():
             webbrowser.open(server.url)
         server.serve_forever()

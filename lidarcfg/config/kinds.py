@@ -10,6 +10,7 @@ DISCRIMINATING_KEYS = {  # keys that only one kind has; the first kind that matc
     "capture manifest": {"rig", "scene", "duration_s"},
     "plan": {"vary", "together"},
     "study": {"region"},
+    "scenario": {"target"},
     "trajectory": MOTIONS,
     "scene": {"ground", "weather", "geo_origin", "height_fields", "models", "surfels"},
     "vehicle": {"allow_inside"},
@@ -36,6 +37,8 @@ def kind_of(values: object) -> str | None:
             return kind
     if "sensors" in values:
         return _sensors(values["sensors"])
+    if "requirements" in values:
+        return "requirements"
     if OBJECTS & values.keys():  # the objects of a scene must say what they reflect, and a scene its name
         return "scene" if "name" in values else "vehicle"
     return None

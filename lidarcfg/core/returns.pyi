@@ -58,6 +58,9 @@ class ReturnCounter:
     def missed_among(self, sensors: NDArray[np.int64], R: Array, t: Array, group: int, count: int) -> float:
         """The same among so many of these places, the likeliest to be missed: no more than `missed`."""
     @property
+    def memory_bytes(self) -> int:
+        """What is known of sensors at poses takes no more memory."""
+    @property
     def traced(self) -> int:
         """How many pairs of sensor and place were traced so far."""
 
@@ -71,7 +74,55 @@ def count_returns(
     obstacles: Obstacles,
     counts: NDArray[np.int32],
 ) -> None:
-    """Add to counts (P, S, phases) the returns from an object at some, which (N,), of places (P, 4)."""
+    """Write to counts (P, S, phases) the returns from an object at some, which (N,), of places (P, 4)."""
+
+def count_lowest(
+    places: Array,
+    which: NDArray[np.int64],
+    scanners: Sequence[Scanner],
+    R: Array,
+    t: Array,
+    target: TargetShape,
+    obstacles: Obstacles,
+    cap: int,
+    wanted: int,
+    counts: NDArray[np.int32],
+    phases: NDArray[np.int8],
+) -> None:
+    """Write the returns (P, S) in each sensor's worst phase, at most `cap`, where they are below 0, and that phase.
+
+    At each place the nearest sensors come first; once `wanted` of them have `cap` the others stay unknown.
+    """
+
+def count_clusters(
+    places: Array,
+    which: NDArray[np.int64],
+    scanners: Sequence[Scanner],
+    R: Array,
+    t: Array,
+    target: TargetShape,
+    obstacles: Obstacles,
+    tolerance_m: float,
+    above_m: float,
+    lost: int,
+    sensors: int,
+    joint: bool,
+    cap: int,
+    counts: NDArray[np.int32],
+    phases: NDArray[np.int8],
+) -> None:
+    """Write the points (P,) of the largest cluster in the worst case, and the phases (P, S) there; -1: lost.
+
+    Neighbours in a cluster are within a tolerance, and one of its points is at least at the height `above_m`. With
+    `lost` sensors gone; of all others together, or if `sensors` is not 0 of each of so many alone. Of all combinations
+    of phases where `joint`, else with each sensor in that of its fewest returns. Values of `cap` or more are bounds.
+    """
+
+def largest_cluster(points: Array, tolerance_m: float, above_m: float) -> int:
+    """The number of points of the largest cluster of points (N, 3) that has one at least at a height.
+
+    Neighbours are within a tolerance: single linkage.
+    """
 
 def detection_probabilities(counts: NDArray[np.int32], phases: NDArray[np.int64], enough: int) -> Array:
     """(P,) the probability of at least so many returns of counts (P, S, phases), each sensor in any of its phases."""

@@ -67,30 +67,25 @@ auto highest(V value) {
   return value[0];
 }
 
-/// A bit for each lane of a comparison of floats.
-inline unsigned bits(Vector<int> mask) {
+/// A bit for each lane of a comparison of floats, or of doubles, of whichever integers the compiler makes the mask.
+template <class Mask>
+unsigned bits(Mask mask) {
+  constexpr bool narrow = sizeof(mask[0]) == sizeof(float);
 #if defined(__AVX__)
-  return __builtin_ia32_movmskps256(reinterpret_cast<Floats>(mask));
-#elif defined(__SSE__)
-  return __builtin_ia32_movmskps(reinterpret_cast<Floats>(mask));
-#else
-  unsigned out = 0;
-  for (int n = 0; n < lanes<float>; ++n) {
-    out |= static_cast<unsigned>(mask[n] & 1) << n;
+  if constexpr (narrow) {
+    return __builtin_ia32_movmskps256(reinterpret_cast<Floats>(mask));
+  } else {
+    return __builtin_ia32_movmskpd256(reinterpret_cast<Doubles>(mask));
   }
-  return out;
-#endif
-}
-
-/// A bit for each lane of a comparison of doubles.
-inline unsigned bits(Vector<std::int64_t> mask) {
-#if defined(__AVX__)
-  return __builtin_ia32_movmskpd256(reinterpret_cast<Doubles>(mask));
 #elif defined(__SSE2__)
-  return __builtin_ia32_movmskpd(reinterpret_cast<Doubles>(mask));
+  if constexpr (narrow) {
+    return __builtin_ia32_movmskps(reinterpret_cast<Floats>(mask));
+  } else {
+    return __builtin_ia32_movmskpd(reinterpret_cast<Doubles>(mask));
+  }
 #else
   unsigned out = 0;
-  for (int n = 0; n < lanes<double>; ++n) {
+  for (int n = 0; n < (narrow ? lanes<float> : lanes<double>); ++n) {
     out |= static_cast<unsigned>(mask[n] & 1) << n;
   }
   return out;

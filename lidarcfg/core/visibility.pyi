@@ -51,7 +51,7 @@ def count_lines(
     y: NDArray[np.int32],
     z: NDArray[np.int32],
 ) -> None:
-    """Add the cuboids of subspaces on lines to x (n, ny, nz), y (n, nx, nz), z (n, nx, ny); row_of (subspaces + 1,)."""
+    """Count the cuboids of subspaces on lines: x (n, ny, nz), y (n, nx, nz), z (n, nx, ny); row_of (subspaces + 1,)."""
 
 def widen_spans(label: NDArray[np.int32], gap: NDArray[np.int64], blind: int, x: Span, y: Span, z: Span) -> None:
     """Widen the spans of lines along x, y and z by the gaps (n, lidars) of what lies on them, but blind ones."""

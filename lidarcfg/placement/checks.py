@@ -21,6 +21,8 @@ from lidarcfg.placement.return_counts import DetectionTarget, return_counts
 from lidarcfg.placement.slots import unused_prices
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
+from lidarcfg.requirements.file import RequirementFile
+from lidarcfg.requirements.requirements import sources
 from lidarcfg.sensors.rig import MountFile, RigFile
 
 Suspect = tuple[Key, str]  # where something looks wrong, and what
@@ -33,6 +35,7 @@ FEW_S = 0.01  # an evaluation this quick is never called slow
 LONG_S = 20.0  # of processor time, to evaluate one rig
 SAMPLES = (64, 512, 4096)  # of places of objects, by which that time is estimated
 SURE_S = 0.5  # of them that took so long, no more are needed
+HIGH_M = 40.0  # above the ground: no vehicle is so high
 STEEPEST_RAD = 0.6  # no beam table is this narrow in degrees: such elevations look like radians
 
 
@@ -40,12 +43,18 @@ def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
     """Warnings about a study that was loaded from a file."""
     path = example(path)
     yield from _lines(path, _of_study(load(path, StudyFile), study))
+    for one in sources(load(path, StudyFile).requirements, path):
+        for key, what in _turns(one.item):
+            yield str(one.error(what, *key))
 
 
 def _of_study(file: StudyFile, study: Study) -> Iterator[Suspect]:
     for i, group in enumerate(file.sensors):
         for bound in ("min", "max"):
             yield from _angles(("sensors", i, bound), getattr(group, bound))
+            if study.requirements and getattr(group, bound):
+                height_m = getattr(group, bound).position_m[2]
+                yield from _height(("sensors", i, bound), height_m, study.requirements.site.ground_m)
         yield from _elevations(("sensors", i), group)
         yield from _places(i, group, study, file.region.exclude)
     for i, box in enumerate(file.region.exclude):
@@ -56,10 +65,10 @@ def _of_study(file: StudyFile, study: Study) -> Iterator[Suspect]:
     yield from _many_returns(study)
 
 
-def rig_warnings(path: str | Path) -> Iterator[str]:
-    """Warnings about a rig's file."""
+def rig_warnings(path: str | Path, ground_m: float | None = None) -> Iterator[str]:
+    """Warnings about a rig's file; with the height of the ground, if it is known."""
     path = example(path)
-    yield from _lines(path, _of_rig(load(path, RigFile)))
+    yield from _lines(path, _of_rig(load(path, RigFile), ground_m))
 
 
 def _lines(path: Path, found: Iterator[Suspect]) -> Iterator[str]:
@@ -69,8 +78,10 @@ def _lines(path: Path, found: Iterator[Suspect]) -> Iterator[str]:
         yield f"{path}: {more:,} more warnings"
 
 
-def _of_rig(file: RigFile) -> Iterator[Suspect]:
+def _of_rig(file: RigFile, ground_m: float | None) -> Iterator[Suspect]:
     for i, mount in enumerate(file.sensors):
+        if ground_m is not None:
+            yield from _height(("sensors", i), mount.position_m[2], ground_m)
         yield from _angles(("sensors", i), mount)
         yield from _elevations(("sensors", i), mount)
 
@@ -85,6 +96,23 @@ def _angles(at: Key, item: PoseBound | MountFile | None) -> Iterator[Suspect]:
     if suspects and max(map(abs, item.rpy_deg or ())) <= math.pi + 1e-3:
         what = f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians, which go to rpy_rad"
         yield (*at, "rpy_deg"), what
+
+
+def _height(at: Key, z_m: float, ground_m: float) -> Iterator[Suspect]:
+    """A sensor below the ground, or higher than any vehicle."""
+    if z_m < ground_m:
+        yield (*at, "position_m", 2), f"{z_m:g} is {ground_m - z_m:.4g} m below the ground"
+    elif z_m > ground_m + HIGH_M:
+        yield (*at, "position_m", 2), f"{z_m:g} is {z_m - ground_m:.4g} m above the ground, higher than any vehicle"
+
+
+def _turns(item: RequirementFile) -> Iterator[Suspect]:
+    """Angles of a requirement that look like radians."""
+    for key in ("headings_deg", "sector_deg"):
+        turns = getattr(item, key) or ()
+        suspects = [angle for angle in turns if _is_in_radians(angle)]
+        if suspects:
+            yield (key,), f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians; give degrees"
 
 
 def _is_in_radians(angle: float) -> bool:

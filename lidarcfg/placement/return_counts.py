@@ -25,11 +25,9 @@ from lidarcfg.placement.detection import (
     ring,
 )
 from lidarcfg.placement.region import AXES, Region
+from lidarcfg.requirements.target import box_target, mesh_target
 from lidarcfg.simulate.returns import Poses, Target, returns
-from lidarcfg.world.meshes import box_mesh, read_mesh
 from lidarcfg.world.obstacles import Obstacles
-from lidarcfg.world.scene_file import Box
-from lidarcfg.world.solids import merge_vertices, open_edges
 
 STEP_M = 1.0
 HEADINGS_DEG = (0.0,)
@@ -100,14 +98,7 @@ class ReturnCounts:
 
 def target(item: DetectionObject, region: Region, folder: Path) -> Target:
     """The object that a study's file in a folder describes. Raises ConfigError and SceneError."""
-    if item.mesh is None:
-        found = Target(box_mesh(Box(name=item.name, reflectivity=0, center_m=(0.0, 0.0, 0.0), size_m=item.box_m)))
-    else:
-        found = Target(merge_vertices(read_mesh(folder / item.mesh)))
-        if len(edges := open_edges(found.mesh)):
-            corners = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
-            what = f"is not closed: {len(edges)} of its edges bound an odd number of triangles, one of them {corners}"
-            raise ConfigError(f"{item.mesh}: {what}")
+    found = mesh_target(folder, item.mesh) if item.mesh else box_target(item.box_m)
     length, width, height = found.size_m.tolist()
     for heading_deg in () if item.samples else item.headings_deg or HEADINGS_DEG:
         c, s = abs(maths.cos(math.radians(heading_deg))), abs(maths.sin(math.radians(heading_deg)))
@@ -215,6 +206,8 @@ class MissCounter:
         self._counter = core.returns.ReturnCounter(
             scanners, target.target.shape, target.places, ends, obstacles, target.enough
         )
+        what = f"{target.item.name}, with {len(target.places):,} places,"
+        check_memory(what, self._counter.memory_bytes, "give fewer places")
 
     def rate(self, sensors: Sequence[int], poses: Poses, limit: float = math.inf) -> float:
         """By some of the scanners, whose numbers ascend; or, once it is known to be at least `limit`, any that is."""

@@ -4,6 +4,7 @@ Where a study lets one choose models, a slot has them with their prices.
 """
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +20,7 @@ from lidarcfg.placement.cones import Lidar, sensor_lidar
 from lidarcfg.placement.study_file import NONE, GroupFile, StudyFile
 from lidarcfg.placement.surfaces import Surface, on_surface
 from lidarcfg.sensors.rig import HOSTS, resolve_sensor
-from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.sensors.sensor import Sensor, catalogue
 from lidarcfg.world.vehicle import Vehicle
 
 BETWEEN_DEG = 10.0  # how much less a sensor may tilt between the places of its surface that were tried
@@ -65,7 +66,13 @@ def choices_of(file: StudyFile, path: Path) -> list[Choices]:
     return found
 
 
-def resolved_prices(file: StudyFile, choices: list[Choices]) -> dict[str, Any]:
+def model_name(name: str, folder: Path) -> str:
+    """A model as resolved files name it: a name of the catalogue, or an absolute path."""
+    path = folder / name
+    return name if name in catalogue() or not path.exists() else os.path.realpath(path)
+
+
+def resolved_prices(file: StudyFile, choices: list[Choices], path: Path) -> dict[str, Any]:
     """The prices, with models named as in resolved files."""
     names = [group.choose or (group.model,) for group in file.sensors]
     known = {
@@ -74,7 +81,7 @@ def resolved_prices(file: StudyFile, choices: list[Choices]) -> dict[str, Any]:
         for name, choice in zip(group, of_group, strict=False)
         if name and choice
     }
-    return {known.get(name, name): price for name, price in (file.prices or {}).items()}
+    return {known.get(name) or model_name(name, path.parent): price for name, price in (file.prices or {}).items()}
 
 
 def unused_prices(file: StudyFile) -> list[str]:
@@ -110,6 +117,19 @@ class Slots:
     lower: Array  # (slots, 6), see Study
     upper: Array  # (slots, 6)
     mirror: Array  # (slots,)
+
+    @property
+    def boxes_m(self) -> list[tuple[Array, Array]] | None:
+        """The lower and the upper corner (3,) of the box in which each may be; None if some sit on a surface."""
+        if any(slot.surface for slot in self.slots):
+            return None
+        out = []
+        for low, high, y_m in zip(self.lower[:, :3], self.upper[:, :3], self.mirror, strict=True):
+            corners = np.stack([low, high])
+            if not math.isnan(y_m):
+                corners[:, 1] = 2 * y_m - corners[::-1, 1]
+            out.append((corners[0], corners[1]))
+        return out
 
 
 def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, path: Path) -> Slots:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from lidarcfg import core, maths
 from lidarcfg.config.models import NAME_MAX, error_at, errors_at, load, whole_values
-from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
@@ -22,14 +21,15 @@ from lidarcfg.placement.detection import DetectionObject, check_fits
 from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
-from lidarcfg.placement.robustness import Robust, mounted
 from lidarcfg.placement.slots import (
     Choices,
     Slot,
+    Slots,
     center_on_upright,
     check_bounds,
     choices_of,
     freely_tilted,
+    model_name,
     resolved_prices,
     slots_of,
 )
@@ -38,8 +38,10 @@ from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, St
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
+from lidarcfg.requirements.requirements import Requirements, Site, Source, resolved, sources
+from lidarcfg.requirements.robustness import Robust, mounted
+from lidarcfg.requirements.sensors import scanners_of
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
-from lidarcfg.simulate.returns import compiled, scanner
 from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, vehicle
@@ -63,6 +65,7 @@ class Study:
     surroundings: Scene | None = None  # in the vehicle frame
     visibility: Visibility | None = None  # None: every LiDAR sees everything, as in the paper
     robust: Robust | None = None  # what a rig has to withstand
+    requirements: Requirements | None = None  # what a rig must see
     zones: tuple[Zone, ...] = ()
     detection_targets: tuple[DetectionTarget, ...] = ()  # the objects that are detected by returns
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
@@ -207,13 +210,7 @@ class Study:
 
     def scanners(self, mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
         """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
-        found = []
-        for mount in mounts:
-            try:
-                found.append(scanner(mount))
-            except ConfigError as error:
-                raise error.of(mount.name) from None
-        return compiled(found)
+        return scanners_of(mounts)
 
     @property
     def obstacles(self) -> Obstacles:
@@ -313,6 +310,8 @@ def study_of(file: StudyFile, path: Path) -> Study:
         with errors_at(path, "robust", "lost"):
             file.robust.check(len(slots.slots))
     detection_targets = _detection_targets(file, region, path)
+    found = sources(file.requirements, path)
+    seen = _visibility(file, region, bodies, surroundings)
     study = Study(
         name=path.stem,
         region=region,
@@ -326,11 +325,12 @@ def study_of(file: StudyFile, path: Path) -> Study:
         detection=file.detection,
         vehicle=bodies,
         surroundings=surroundings,
-        visibility=_visibility(file, region, bodies, surroundings),
+        visibility=seen,
         robust=file.robust,
+        requirements=_requirements(file, found, slots, region, bodies, seen, path),
         zones=zones,
         detection_targets=detection_targets,
-        file=_resolved(file, slots.slots, choices, path),
+        file=_resolved(file, found, slots.slots, choices, path),
     )
     if detection_targets:
         for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
@@ -381,7 +381,31 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
     return Visibility.of(scenes if given.occlusion else [], region, given.range, given.field_of_view)
 
 
-def _resolved(file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], path: Path) -> dict[str, Any]:
+def _requirements(
+    file: StudyFile,
+    found: Sequence[Source],
+    slots: Slots,
+    region: Region,
+    bodies: Vehicle | None,
+    seen: Visibility | None,
+    path: Path,
+) -> Requirements | None:
+    """The study's requirements. Objects stand on the surroundings' ground, or else on the region's floor."""
+    if not found:
+        return None
+    prices = {model_name(name, path.parent): price for name, price in (file.prices or {}).items()}
+    obstacles = seen.obstacles if seen else NO_OBSTACLES
+    ground_m = obstacles.ground_m if math.isfinite(obstacles.ground_m) else float(region.min_m[2])
+    models = [choice.model for slot in slots.slots for choice in slot.choices if choice] or [
+        slot.model or "" for slot in slots.slots
+    ]
+    site = Site.of(bodies, obstacles, ground_m, slots.boxes_m)
+    return resolved(found, site, file.robust, prices, len(slots.slots), models)
+
+
+def _resolved(
+    file: StudyFile, found: Sequence[Source], slots: tuple[Slot, ...], choices: list[Choices], path: Path
+) -> dict[str, Any]:
     """The file's values with defaults filled in, and with the paths of models and other files resolved."""
     values = whole_values(file, path.parent)
     models = iter(slots)
@@ -391,8 +415,11 @@ def _resolved(file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], 
                 group["choose"] = [choice.model if choice else NONE for choice in slot.choices]
             elif slot.model is not None:
                 group["model"] = slot.model
+    del values["requirements"]
+    if found:
+        values["requirements"] = [whole_values(one.item, one.path.parent) for one in found]
     if file.prices:
-        values["prices"] = resolved_prices(file, choices)
+        values["prices"] = resolved_prices(file, choices, path)
     return values
 
 

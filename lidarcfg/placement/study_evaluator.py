@@ -14,8 +14,8 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluator import Evaluator, Index
 from lidarcfg.placement.objective import Recent
-from lidarcfg.placement.robustness import mounted
 from lidarcfg.placement.study import Study
+from lidarcfg.requirements.robustness import mounted
 
 
 class StudyEvaluator:

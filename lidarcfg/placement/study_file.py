@@ -23,9 +23,10 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.objective import SIGHT, Objective
 from lidarcfg.placement.region import RegionFile
-from lidarcfg.placement.robustness import Robust
 from lidarcfg.placement.surfaces import SurfaceFile
 from lidarcfg.placement.zones import ELSEWHERE, ZoneFile
+from lidarcfg.requirements.file import RequirementOrFile
+from lidarcfg.requirements.robustness import Robust
 from lidarcfg.sensors.rig import SENSORS_MAX, MountName, Range, angles_rad, one_of
 from lidarcfg.sensors.sensor import AzimuthFov, Elevations
 from lidarcfg.world.vehicle import VehicleFile
@@ -177,6 +178,7 @@ class StudyFile(Model):
     visibility: VisibilityFile | None = None
     objective: Objective = Objective()
     constraints: Constraints = Constraints()
+    requirements: tuple[RequirementOrFile, ...] = ()
     robust: Robust | None = None
     zones: tuple[ZoneFile, ...] = ()
     solver: Solver = Solver()

@@ -1,6 +1,12 @@
-"""Results as JSON, files, tables, pictures and reports. It shows; `lidarcfg.placement` computes.
+"""Reports: results as JSON, tables, pictures and HTML pages. `lidarcfg.placement` computes, this package shows.
 
-`__init__.pyi` lists the names. Each loads its module on first use, so a list of sensors loads no plots.
+To read in this order: `text` shortens names, `describe` puts a study and a rig into words, `html` has tables and pages.
+`canvas` has the style of drawings; `plots` (PNG), `mounts`, `drawings`, `blind_spots`, `robustness` draw a part each.
+`document` is the report of one rig, `comparison` of several, `front` of price against objective. `results` writes the
+folder of a search, `sweep` that of many. `tables` and `sensors` print on the terminal, and `summaries` says in one line
+what a file is.
+
+`__init__.pyi` lists the names. Each loads its module on first use, so a list of sensors loads no reports.
 """
 
 import lazy_loader

@@ -46,7 +46,7 @@ def volumes_table(blind: BlindSpots) -> Table:
 
 
 def contours_table(blind: BlindSpots) -> Table:
-    """How far the blind spot reaches at each height."""
+    """How far the blind spots reach at each height."""
     rows = [
         [
             f"{contour.directions.height_m:g} m",
@@ -119,7 +119,7 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
         (above,), (below,) = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)
         axes = above.subplots()
         contours_view(axes, region, rig, blind.contours)
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title="beyond the line, some LiDAR sees everything")
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title="blind-spot contours; gaps between beams aside")
         axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), title="above the ground")
         _draw_heights(below, subspaces, rig)
 
@@ -128,7 +128,7 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
 
 
 def _draw_heights(figure: "SubFigure", subspaces: Subspaces, rig: Rig) -> None:
-    """A map of the unseen height: the metres of each upright line of cuboids that no LiDAR sees."""
+    """A map of the unseen height: how much of each upright line of cuboids no LiDAR sees, in metres."""
     axes = figure.subplots()
     region = subspaces.region
     blind = (subspaces.seen_by == 0) & region.included

@@ -1,4 +1,4 @@
-"""What the drawings of a report share: SVG in one style, and views of the region."""
+"""The canvas of a report's drawings: SVG in one style, views of the region, numbers that do not overlap."""
 
 import io
 import re
@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.region import Region
-from lidarcfg.report.html import printable
-from lidarcfg.report.names import DRAWN, truncate
 from lidarcfg.report.plots import COLOURS, new_figure
+from lidarcfg.report.text import DRAWN, printable, truncate
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:

@@ -15,14 +15,8 @@ from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
-from lidarcfg.report.baseline import Baseline
 from lidarcfg.report.blind_spots import compare_contours
-from lidarcfg.report.document import Commands
-from lidarcfg.report.html import Best, Figure, Table, render
-from lidarcfg.report.names import DRAWN, HEAD, truncate
-from lidarcfg.report.results import evaluation_dict, to_json
-from lidarcfg.report.robustness import FAR, draw_lost
-from lidarcfg.report.words import (
+from lidarcfg.report.describe import (
     beams,
     counted,
     date,
@@ -33,6 +27,11 @@ from lidarcfg.report.words import (
     region_rows,
     versions,
 )
+from lidarcfg.report.document import Baseline, Commands
+from lidarcfg.report.html import BestCell, KeyFigure, Table, render
+from lidarcfg.report.results import evaluation_dict, to_json
+from lidarcfg.report.robustness import FAR, draw_lost
+from lidarcfg.report.text import DRAWN, HEAD, truncate
 from lidarcfg.sensors.rig import Rig
 
 RIGS_MAX = 10
@@ -61,7 +60,7 @@ class Contender:
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparisonRow:
     """A line of the table."""
 
     what: str
@@ -89,14 +88,14 @@ def with_baseline(rig: Rig, file: Path, details: ReportInputs, baseline: Baselin
     return contenders([(str(file), rig, details), (baseline.file, baseline.rig, baseline.details)])
 
 
-def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
+def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
     """The rows of the comparison, rig by rig."""
 
-    def row(what: str, form: str, value: Callable[[Contender], float], sign: int = 0) -> Row:
+    def row(what: str, form: str, value: Callable[[Contender], float], sign: int = 0) -> ComparisonRow:
         texts = [format(value(rig), form) for rig in rigs]
         values = [sign * float(text.rstrip("%").replace(",", "")) for text in texts]  # as printed
         best = [sign != 0 and min(values) < max(values) and v == max(values) for v in values]
-        return Row(what, texts, best)
+        return ComparisonRow(what, texts, best)
 
     out = [
         row("sensors", ",", lambda rig: len(rig.rig.mounts)),
@@ -129,7 +128,7 @@ def _zone(i: int, rig: Contender) -> float:
     return rig.found.zones[i].max_vsr_m
 
 
-def _robust_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
+def _robust_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
     """The worst effects of failures and mounting errors; none if they were omitted."""
     known = [rig.found.robustness for rig in rigs]
     if None in known:
@@ -151,7 +150,7 @@ def _growth(angles: bool, rig: Contender) -> float:
     return 1e3 * rig.found.robustness.largest_m(angles) if rig.found.robustness else 0.0
 
 
-def _blind_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
+def _blind_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
     """Volumes by the number of LiDARs, and how far the blind spots reach; none where all see everything."""
     if not rigs[0].found.blind.contours:
         return []
@@ -175,7 +174,7 @@ def _rate(name: str, rig: Contender) -> float:
     return rig.found.detection[name].rate
 
 
-def _analytic_row(rigs: Sequence[Contender]) -> Row | None:
+def _analytic_row(rigs: Sequence[Contender]) -> ComparisonRow | None:
     """Every rig whose error bar reaches the best rig's is marked."""
     bars = [rig.found.analytic for rig in rigs if rig.found.analytic]
     if len(bars) < len(rigs):
@@ -184,7 +183,7 @@ def _analytic_row(rigs: Sequence[Contender]) -> Row | None:
     reach = min(bar.max_vsr_m + bar.error_m for bar in bars)
     marked = [bar.max_vsr_m == min(values) or bar.max_vsr_m - bar.error_m <= reach for bar in bars]
     texts = [f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}" for bar in bars]
-    return Row("analytic max VSR (m)", texts, [mark and not all(marked) for mark in marked])
+    return ComparisonRow("analytic max VSR (m)", texts, [mark and not all(marked) for mark in marked])
 
 
 def comparison_dict(study: Study, rigs: Sequence[Contender]) -> dict[str, Any]:
@@ -262,23 +261,23 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
     )
 
 
-def _summary(rigs: Sequence[Contender]) -> list[Figure]:
+def _summary(rigs: Sequence[Contender]) -> list[KeyFigure]:
     least = min(rig.found.max_vsr_m for rig in rigs)
     figures = []
     for rig in rigs:
         more = rig.found.max_vsr_m / least - 1
         detail = "the smallest" if more == 0 else f"{more:.1%} above the smallest"
-        figures.append(Figure(f"Max VSR of {rig.title}", f"{rig.found.max_vsr_m:.6f} m", detail))
+        figures.append(KeyFigure(f"Max VSR of {rig.title}", f"{rig.found.max_vsr_m:.6f} m", detail))
     return figures
 
 
-def _table(lines: Sequence[Row], rigs: Sequence[Contender], first: int) -> Table:
+def _table(lines: Sequence[ComparisonRow], rigs: Sequence[Contender], first: int) -> Table:
     """The table of the rigs from the `first` on."""
     part = slice(first, first + COLUMNS_MAX)
     body = []
     for row in lines:
         pairs = zip(row.values[part], row.best[part], strict=True)
-        body.append([row.what, *(Best(text) if best else text for text, best in pairs)])
+        body.append([row.what, *(BestCell(text) if best else text for text, best in pairs)])
     caption = (
         "The best of each row is marked, unless all are alike. Analytic values are marked if their error bar reaches "
         "the best one's."

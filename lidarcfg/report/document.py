@@ -15,13 +15,8 @@ from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
-from lidarcfg.report.baseline import Baseline, beside, figures_beside
 from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table
-from lidarcfg.report.html import Figure, Table, render
-from lidarcfg.report.names import summarize, truncate
-from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
-from lidarcfg.report.surfaces import draw_surfaces
-from lidarcfg.report.words import (
+from lidarcfg.report.describe import (
     bounds_table,
     counted,
     date,
@@ -39,9 +34,13 @@ from lidarcfg.report.words import (
     vector,
     versions,
 )
+from lidarcfg.report.html import KeyFigure, Table, render, with_baseline_figures, with_baseline_rows
+from lidarcfg.report.mounts import draw_mounts, draw_surfaces
+from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
+from lidarcfg.report.text import summarize, truncate
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 
-Facts = list[tuple[str, object]]
+FactRows = list[tuple[str, object]]
 
 
 @dataclass(frozen=True)
@@ -50,6 +49,15 @@ class Commands:
 
     typed: str
     again: str
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A rig to compare a result with, and its evaluation in the same study."""
+
+    rig: Rig
+    file: str
+    details: ReportInputs
 
 
 def report(
@@ -68,13 +76,13 @@ def report(
     found = details.evaluation
     own = _tables(study, rig, details)
     other = _tables(study, baseline.rig, baseline.details) if baseline else {}
-    tables = {name: beside(table, other.get(name)) for name, table in own.items()}
+    tables = {name: with_baseline_rows(table, other.get(name)) for name, table in own.items()}
     what = "optimised" if placement else "evaluated"
     return render(
         "report.html",
         title=f"Report: {rig.name}",
         about=f"{describe_rig(rig)}; {what} by lidarcfg {__version__} on {date()}",
-        summary=figures_beside(_summary(details), _of_baseline(baseline)) if baseline else _summary(details),
+        summary=with_baseline_figures(_summary(details), _of_baseline(baseline)) if baseline else _summary(details),
         baseline=baseline,
         baseline_yaml=yaml_text(rig_to_dict(baseline.rig)) if baseline else None,
         placement=placement,
@@ -135,7 +143,7 @@ def _drawings(
         rings = [(item, {name: one.rings[item] for name, one in both}) for item in shown]
     places = {name: details.detection_maps[name] for name in shown if name in details.detection_maps}
     return {
-        "mounts": drawings.draw_mounts(study, rig),
+        "mounts": draw_mounts(study, rig),
         "surfaces": draw_surfaces(study, rig) if any(slot.surface for slot in study.slots) else None,
         "history": drawings.draw_history(study, placement) if placement else None,
         "worst": drawings.draw_worst(study, rig, found),
@@ -148,45 +156,47 @@ def _drawings(
     }
 
 
-def _of_baseline(baseline: Baseline) -> list[Figure]:
+def _of_baseline(baseline: Baseline) -> list[KeyFigure]:
     """Its figures in a summary: the midpoint of the bounds is the study's, whatever the rig."""
     return _summary(replace(baseline.details, midpoint_max_vsr_m=None))
 
 
-def _summary(details: ReportInputs) -> list[Figure]:
+def _summary(details: ReportInputs) -> list[KeyFigure]:
     found = details.evaluation
     midpoint = details.midpoint_max_vsr_m
     worst = found.worst[0]
     at = f"at {vector(worst.centroid_m, '.1f')} m"
     largest = f"the largest of {counted(len(found.subspaces), 'subspace')}"
-    figures = [Figure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest)]
+    figures = [KeyFigure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest)]
     if midpoint is not None:
         more = found.max_vsr_m / midpoint - 1
         than = f"this rig's max VSR is {abs(more):.0%} {'larger' if more > 0 else 'smaller'}"
-        figures.append(Figure("Max VSR at the midpoint of the bounds", f"{midpoint:.6f} m", than))
+        figures.append(KeyFigure("Max VSR at the midpoint of the bounds", f"{midpoint:.6f} m", than))
     if bar := found.analytic:
         value = f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m"
         figures.append(
-            Figure("Analytic max VSR", value, f"± {bar.error_m / bar.max_vsr_m:.1%}, of the cones themselves")
+            KeyFigure("Analytic max VSR", value, f"± {bar.error_m / bar.max_vsr_m:.1%}, of the cones themselves")
         )
     else:
-        figures.append(Figure("Analytic max VSR", "not computed", "evaluate --tolerance computes it"))
-    figures.append(Figure("Largest sphere in the worst subspace", f"{2 * worst.inscribed_radius_m:.2f} m across", at))
+        figures.append(KeyFigure("Analytic max VSR", "not computed", "evaluate --tolerance computes it"))
+    figures.append(
+        KeyFigure("Largest sphere in the worst subspace", f"{2 * worst.inscribed_radius_m:.2f} m across", at)
+    )
     if found.blind.contours:
         part = found.blind.volume_m3 / float(found.blind.seen_by_m3.sum())
-        figures.append(Figure("Blind volume", f"{found.blind.volume_m3:.2f} m³", f"{part:.2%} of the region"))
+        figures.append(KeyFigure("Blind volume", f"{found.blind.volume_m3:.2f} m³", f"{part:.2%} of the region"))
         low = found.blind.contours[0]
         where = f"{low.directions.height_m:g} m above the ground, at {low.largest_at_deg:.0f}°"
         least = "≥ " if low.largest_reaches_edge else ""
-        figures.append(Figure("Blind spot, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
+        figures.append(KeyFigure("Blind spot, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
     for name, rate in found.detection.items():
         how = f"± {rate.half_width:.2%}, of {rate.places:,} drawn positions" if rate.half_width else "of all positions"
-        figures.append(Figure(f"Detection of {truncate(name)}", f"{rate.rate:.2%}", how))
+        figures.append(KeyFigure(f"Detection of {truncate(name)}", f"{rate.rate:.2%}", how))
     return figures
 
 
-def _task(study: Study, placement: Placement | None) -> Facts:
-    rows: Facts = [("study", study.name), *region_rows(study.region)]
+def _task(study: Study, placement: Placement | None) -> FactRows:
+    rows: FactRows = [("study", study.name), *region_rows(study.region)]
     if placement:
         rows += [
             ("objective", describe_objective(study)),
@@ -196,13 +206,13 @@ def _task(study: Study, placement: Placement | None) -> Facts:
     return rows + [(f"object: {truncate(item.name)}", describe_object(item)) for item in study.detection]
 
 
-def _search(placement: Placement | None) -> Facts:
+def _search(placement: Placement | None) -> FactRows:
     if placement is None:
         return []
     return [
         ("evaluations", f"{placement.evaluations:,}"),
-        ("more evaluations, of first rigs", f"{placement.first_evaluations:,}"),
-        ("more evaluations, of scouts", f"{placement.scout_evaluations:,}"),
+        ("evaluations of the initial rigs, not counted above", f"{placement.first_evaluations:,}"),
+        ("evaluations by scouts, not counted above", f"{placement.scout_evaluations:,}"),
         ("cycles", f"{placement.history[-1].cycle:,}"),
         ("seconds", f"{placement.seconds:.1f}"),
         ("objective value of the best rig", f"{placement.objective:.6f}"),
@@ -336,14 +346,14 @@ def _analytic(found: Evaluation, bar: Analytic, baseline: Baseline | None) -> di
     return {"rows": rows, "difference": f"{abs(less):.1%} {'lower' if less >= 0 else 'higher'}"}
 
 
-def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) -> Facts:
+def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) -> FactRows:
     if placement is None:
         return []
     skipped = values["skipped"]
     trials = placement.evaluated
     all_trials = placement.evaluations + placement.first_evaluations + placement.scout_evaluations
     what = "rigs" if study.rigs[0] > 1 else "trials"
-    facts: Facts = [("trials evaluated in this run", f"{trials:,} of {all_trials:,}")] if trials < all_trials else []
+    facts: FactRows = [("trials evaluated in this run", f"{trials:,} of {all_trials:,}")] if trials < all_trials else []
     if study.rigs[0] > 1:
         facts.append(("rigs that these stand for", f"{skipped['rigs']:,}, {study.rigs[0]:,} a trial"))
     facts.append((f"{what} settled without a full evaluation", _of(skipped["full_evaluations"], skipped["rigs"])))
@@ -360,7 +370,7 @@ def _of(part: int, whole: int) -> str:
     return f"{part:,} of {whole:,} ({part / max(whole, 1):.1%})"
 
 
-def _repeat(values: dict[str, Any]) -> Facts:
+def _repeat(values: dict[str, Any]) -> FactRows:
     return [
         ("seed", "not needed" if values["seed"] is None else values["seed"]),
         ("versions", versions()),

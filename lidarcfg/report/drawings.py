@@ -1,4 +1,4 @@
-"""The drawings of a report: mounts, search, worst subspaces, distribution, detection and coverage."""
+"""The drawings of a report: search, worst subspaces, distribution of sizes, detection and coverage."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -7,8 +7,6 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
-from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
@@ -27,7 +25,6 @@ from lidarcfg.report.canvas import (
     drawing,
     extent,
     fractions,
-    height_in,
     hidden,
     label,
     lay_out,
@@ -50,90 +47,7 @@ if TYPE_CHECKING:
 
 MAP = "cividis"  # looks the same to colour-blind people
 WORST = "#D55E00"
-NAMES_MAX = 12  # in a legend; the table has them all
 OBJECTS_MAX = 12  # that are drawn
-BESIDE_PT = 11  # from a sensor to its number
-Bounds = dict[str, tuple[Array, Array]]  # by sensor: least and greatest position
-
-
-def draw_mounts(study: Study, rig: Rig) -> Markup:
-    """The sensors with their axes from top, side and front; the study's bounds dashed."""
-    bounds: Bounds = {
-        slot.name: (low[:3], high[:3])
-        for slot, low, high, mirror in zip(study.slots, study.lower, study.upper, study.mirror, strict=True)
-        if np.isnan(mirror)
-    }
-    lidars = rig_lidars(rig)
-    at = np.array([lidar.position_m for lidar in lidars])
-    drawn = [np.stack(bounds[mount.name]) for mount in rig.mounts if mount.name in bounds]
-    span = max(float(np.ptp(np.concatenate([at, *drawn]), axis=0).max()), 1.0)
-    tips = at + 0.25 * span * np.array([lidar.axis for lidar in lidars])
-    low, high = _frame(np.concatenate([at, tips, *drawn]), span, float(study.region.min_m[2]))
-    size = high - low
-
-    def draw(figure: "Figure") -> None:
-        widths = fractions(size[0], size[1])
-        heights = fractions(size[1], size[2])
-        grid = figure.add_gridspec(2, 2, width_ratios=widths, height_ratios=heights)
-        views = dict(zip(VIEWS, (grid[0, 0], grid[1, 0], grid[1, 1]), strict=True))
-        drawn = {view: figure.add_subplot(place) for view, place in views.items()}
-        for view, axes in drawn.items():
-            across, up = VIEWS[view]
-            shade_excluded(axes, study.region, view)
-            axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect="equal")
-            for i, mount in enumerate(rig.mounts):
-                _draw_mount(axes, view, i, bounds.get(mount.name), at[i], tips[i])
-            sensor_dots(axes, rig, view, 7)
-            axes.grid(True)
-            name_axes(axes, view)
-        top = drawn["top"]
-        names = [f"{i} {label(mount.name)}" for i, mount in enumerate(rig.mounts[:NAMES_MAX], 1)]
-        legend = top.legend(top.lines[-len(lidars) :][:NAMES_MAX], names, loc="upper left", bbox_to_anchor=(1.03, 1.0))
-        legend.set_in_layout(False)  # the corner beside the front is free
-        lay_out(figure)
-        for view, axes in drawn.items():
-            beside = [_beside(axes, view, *ends) for ends in zip(at, tips, strict=True)]
-            ranks = range(len(beside))
-            number_places(axes, np.array(beside), [str(i + 1) for i in ranks], [colour(i) for i in ranks])
-
-    scale = (WIDTH_IN - 2 * LABELS_IN) / (size[0] + size[1])
-    height = float(np.clip(height_in(scale * size[1], scale * size[2]), 3.0, 7.5))
-    return drawing("mounts", height, f"{len(lidars)} sensors from top, side and front, with axes and bounds", draw)
-
-
-def _frame(points: Array, span: float, floor_m: float) -> tuple[Array, Array]:
-    """A box around points (n, 3): down to the floor if that is near, and nowhere a sliver."""
-    low = points.min(axis=0) - 0.15 * span
-    high = points.max(axis=0) + 0.15 * span
-    floor = floor_m - 0.02 * span
-    if 0 < low[2] - floor < 2 * span:
-        low[2] = floor
-    wider = np.maximum(0.6 * (high - low).max() - (high - low), 0.0) / 2
-    return low - wider, high + wider
-
-
-def _draw_mount(axes: "Axes", view: str, i: int, bounds: tuple[Array, Array] | None, at: Array, tip: Array) -> None:
-    """Draw the i-th sensor's bounds and its axis from `at` to `tip`."""
-    across, up = VIEWS[view]
-    if bounds:
-        (left, right), (bottom, top) = ((bounds[0][axis], bounds[1][axis]) for axis in (across, up))
-        axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], "--", color=colour(i), lw=0.8)
-    start = at[[across, up]]
-    end = tip[[across, up]]
-    arrow = {"arrowstyle": "-|>", "color": colour(i), "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=arrow)
-
-
-def _beside(axes: "Axes", view: str, at: Array, tip: Array) -> Array:
-    """(2,) where the number of a sensor at `at` belongs: behind its axis, or below it if that points at the viewer."""
-    across, up = VIEWS[view]
-    start = at[[across, up]]
-    end = tip[[across, up]]
-    length = float(np.hypot(*(end - start)))
-    away = (start - end) / length if length > 0.08 * float(np.linalg.norm(tip - at)) else np.array([0.0, -1.0])
-    beside = axes.transData.transform(start) + BESIDE_PT * axes.figure.dpi / 72 * away
-    place: Array = axes.transData.inverted().transform(beside)
-    return place
 
 
 def draw_history(study: Study, found: Placement) -> Markup:

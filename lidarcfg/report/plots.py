@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.files import replacing
-from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.optimize import Placement
-from lidarcfg.placement.study import Study
-from lidarcfg.report.names import DRAWN, summarize, truncate
+from lidarcfg.report.text import DRAWN, summarize, truncate
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from lidarcfg.placement.evaluation import Evaluation
+    from lidarcfg.placement.optimize import Placement
+    from lidarcfg.placement.study import Study
 
 # Okabe and Ito's colours, which colour-blind people can tell apart
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
@@ -42,14 +42,14 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
-def history_top(study: Study, found: Placement) -> float | None:
+def history_top(study: "Study", found: "Placement") -> float | None:
     """The top of the drawing of a search: rigs that break the constraints cost far more than any other."""
     shown = [value for cycle in found.history for value in (cycle.best, cycle.mean)]
     shown += [found.midpoint_max_vsr_m] if study.is_max_vsr else []
     return min(1.05 * max(shown), CUT_OFF * found.history[-1].best) or None
 
 
-def draw_convergence(study: Study, found: Placement) -> "Figure":
+def draw_convergence(study: "Study", found: "Placement") -> "Figure":
     """Best and mean max VSR of the food sources over the evaluations (the paper's figure 4)."""
     figure = new_figure(7, 4)
     axes = figure.subplots()
@@ -72,7 +72,7 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     return figure
 
 
-def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
+def draw_rig(study: "Study", rig: Rig, found: "Evaluation") -> "Figure":
     """The rig from top, side and front: region, exclusions, the worst subspace, each sensor and its axis."""
     from matplotlib.lines import Line2D
 
@@ -114,6 +114,8 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
 
 
 def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -> None:
+    from lidarcfg.placement.cones import rig_lidars  # here, so that a list of sensors does not load the tracer
+
     for i, cones in enumerate(rig_lidars(rig)):
         colour = COLOURS[i % len(COLOURS)]
         at = cones.position_m

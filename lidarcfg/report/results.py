@@ -23,8 +23,7 @@ from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
-from lidarcfg.report.baseline import Baseline
-from lidarcfg.report.document import Commands, report
+from lidarcfg.report.document import Baseline, Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
 

@@ -12,7 +12,7 @@ from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.placement.zones import ZoneVsr
 from lidarcfg.report.canvas import colour, drawing, label
 from lidarcfg.report.html import Table
-from lidarcfg.report.names import truncate
+from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:

@@ -16,6 +16,9 @@ from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
+from lidarcfg.report.describe import counted
+from lidarcfg.requirements.requirements import load_requirements
+from lidarcfg.requirements.scenario import scenario_in
 from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.world.motion import load_path
@@ -25,7 +28,7 @@ from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_veh
 
 @dataclass(frozen=True)
 class Summary:
-    """What a file is."""
+    """A file's kind, what it would do, and what looks wrong."""
 
     kind: str
     text: str  # what it would do
@@ -37,9 +40,8 @@ def summary(path: str | Path) -> Summary:
     path = example(path)
     kind = "trajectory" if path.suffix == ".tum" else kind_of(load_keys(path))
     if kind is None:
-        raise ConfigError(
-            f"{path}: is not one of lidarcfg's files; allowed: {', '.join(sorted({*DISCRIMINATING_KEYS, 'rig'}))}"
-        )
+        allowed = ", ".join(sorted({*DISCRIMINATING_KEYS, "requirements", "rig"}))
+        raise ConfigError(f"{path}: is not one of lidarcfg's files; allowed: {allowed}")
     text, warnings = SUMMARIES[kind](path)
     return Summary(kind, text, tuple(warnings))
 
@@ -56,9 +58,11 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
         sensors = f"{len(combinations(study)):,} combinations of sensors"
     what = "max VSR" if study.objective.is_max_vsr else "a weighted mean"
     what += " by zones" * bool(study.zones) + ", with failures or mounting errors" * bool(study.robust)
+    count = len(study.requirements.items) if study.requirements else 0
+    required = f", {counted(count, 'requirement')}" if count else ""
     text = (
         f"{int(study.region.included.sum()):,} cuboids, {sensors}, "
-        f"{_objects(len(study.detection))}; {search}, to minimise {what}"
+        f"{_objects(len(study.detection))}{required}; {search}, to minimise {what}"
     )
     vehicle = study.vehicle.warnings if study.vehicle else ()
     return text, (*vehicle, *study_warnings(path, study))
@@ -67,6 +71,19 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
 def _plan(path: Path) -> tuple[str, Iterable[str]]:
     plan = load_plan(path)
     return f"{len(plan.runs):,} runs of a sweep over {', '.join(plan.varied)}", ()
+
+
+def _requirements(path: Path) -> tuple[str, Iterable[str]]:
+    found = [one.item.name for one in load_requirements(path)]
+    return f"{counted(len(found), 'requirement')}: {', '.join(found)}", ()
+
+
+def _scenario(path: Path) -> tuple[str, Iterable[str]]:
+    found = scenario_in(path)
+    speeds = ", ".join(f"{speed:g}" for speed in found.file.speeds_km_h or ())
+    cars = counted(len(found.file.cars), "parked car")
+    unverified = (f"{path}: {found.name}: not verified: {found.file.unverified}",) if found.file.unverified else ()
+    return f"{found.name}, at {speeds or 'no'} km/h, {cars}", unverified
 
 
 def _rig(path: Path) -> tuple[str, Iterable[str]]:
@@ -154,6 +171,8 @@ def _triangles(scene: Scene) -> str:
 SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
     "plan": _plan,
     "study": _study,
+    "requirements": _requirements,
+    "scenario": _scenario,
     "rig": _rig,
     "scene": _scene,
     "sensor": _sensor,

@@ -2,23 +2,31 @@
 
 import csv
 import json
+from collections.abc import Sequence
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
-from typing import Any
+from statistics import median
+from typing import TYPE_CHECKING, Any
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.placement.plan import Plan, SweepCase, versions
+from lidarcfg.placement.plan import Plan, SweepCase, shown, versions
 from lidarcfg.placement.sweep import Outcome
-from lidarcfg.report.plots import save_figure
+from lidarcfg.report.canvas import dashes, label
+from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.report.results import check_writable, to_json
-from lidarcfg.report.sweep_plot import draw_sweep
 from lidarcfg.sensors.rig import save_rig
 
-Row = dict[str, Any]  # of the table, by column
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RunRow = dict[str, Any]  # of the table, by column
 PLAN = "plan.json"
 TABLES = ("table.csv", "table.parquet")
 PLOT = "sweep.png"
+SEED = "solver.seed"
+LINES_MAX = 16  # more cannot be told apart
 LAST = ("rig", "version", "error", "seconds")  # columns at the end; only seconds differ between sweeps
 
 
@@ -29,7 +37,7 @@ class SweepFolder:
         """Raises ConfigError if it holds the runs of another plan."""
         self.folder = folder
         self._plan = plan
-        self._failed: dict[int, Row] = {}  # of runs that another attempt may complete
+        self._failed: dict[int, RunRow] = {}  # of runs that another attempt may complete
         known = folder / PLAN
         self._about = to_json({"study": plan.study, "varied": sorted(plan.varied)}) + "\n"
         if known.exists() and known.read_bytes() != self._about.encode():
@@ -42,7 +50,7 @@ class SweepFolder:
         with replacing(self.folder / PLAN) as file:
             file.write(self._about)
 
-    def row(self, run: SweepCase) -> Row | None:
+    def row(self, run: SweepCase) -> RunRow | None:
         """A run's row of the table, or None if it is not done."""
         with suppress(OSError, ValueError):
             found = json.loads((self._at(run) / "result.json").read_text())
@@ -86,7 +94,7 @@ class SweepFolder:
             pyarrow.parquet.write_table(table, file)
         return [*TABLES, *self._save_plot(rows)]
 
-    def _save_plot(self, rows: list[Row]) -> list[str]:
+    def _save_plot(self, rows: list[RunRow]) -> list[str]:
         """Write sweep.png, if there is anything to plot."""
         found = {row["run"]: row.get("cost") for row in rows}
         is_max_vsr = all(row.get("cost") == row.get("max_vsr_m") for row in rows)
@@ -99,7 +107,7 @@ class SweepFolder:
     def _at(self, run: SweepCase) -> Path:
         return self.folder / "runs" / run.digest
 
-    def _row(self, run: SweepCase, found: Row) -> Row:
+    def _row(self, run: SweepCase, found: RunRow) -> RunRow:
         values = {
             path: value if path in self._plain or value is None else json.dumps(value, ensure_ascii=False)
             for path, value in run.values.items()
@@ -111,3 +119,62 @@ def _is_plain(values: list[Any]) -> bool:
     """Whether values are all numbers, all texts or all booleans; others are JSON in the table."""
     kinds = {type(value) for value in values if value is not None}
     return kinds <= {int, float} or kinds in ({str}, {bool})
+
+
+def draw_sweep(plan: Plan, costs: Sequence[float | None], is_max_vsr: bool) -> "Figure | None":
+    """The costs of a plan's runs against its last key with numbers: medians over seeds, least to greatest shaded.
+
+    None if there is nothing to draw: no such key, no cost, or too many lines.
+    """
+    values = {path: _distinct([run.values[path] for run in plan.runs]) for path in plan.varied if path != SEED}
+    values = {path: found for path, found in values.items() if len(found) > 1}
+    numbers = [path for path, found in values.items() if all(type(value) in (int, float) for value in found)]
+    if not numbers or all(cost is None for cost in costs):
+        return None
+    across = numbers[-1]
+    others = [path for path in values if path != numbers[-1]]
+    lines = list(product(*(values[path] for path in others)))
+    if len(lines) > LINES_MAX:
+        return None
+    drawn = sum(cost is not None for cost in costs)
+    figure = new_figure(7, 4.2)
+    axes = figure.subplots()
+    for line in lines:
+        at: dict[float, list[float]] = {}
+        for run, cost in zip(plan.runs, costs, strict=True):
+            if cost is not None and all(run.values[path] == value for path, value in zip(others, line, strict=True)):
+                at.setdefault(run.values[across], []).append(cost)
+        x = sorted(at)
+        place = [values[path].index(value) for path, value in zip(others, line, strict=True)]
+        colour = COLOURS[place[-1] % len(COLOURS)] if place else COLOURS[0]
+        ls = dashes(sum(place[:-1]))
+        name = ", ".join(_name(path, value, values[path]) for path, value in zip(others, line, strict=True))
+        axes.plot(x, [median(at[v]) for v in x], marker="o", ms=4, color=colour, ls=ls, label=label(name, 40))
+        axes.fill_between(x, [min(at[v]) for v in x], [max(at[v]) for v in x], color=colour, alpha=0.15, lw=0)
+    ticks = {"xticks": values[across]} if len(values[across]) <= 12 else {}
+    axes.set(xlabel=across, ylabel="max VSR (m)" if is_max_vsr else "cost", ylim=(0, None), **ticks)
+    axes.set_title(f"{plan.path.stem}: {drawn} runs; median, least to greatest", parse_math=False)
+    axes.grid(alpha=0.3)
+    if others:
+        axes.legend(fontsize=8, handlelength=3.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside all lines
+    return figure
+
+
+def _distinct(values: Sequence[Any]) -> list[Any]:
+    """Each value once, in the order of the first; maps have no hashes."""
+    found: list[Any] = []
+    for value in values:
+        if value not in found:
+            found.append(value)
+    return found
+
+
+def _name(path: str, value: Any, values: list[Any]) -> str:
+    """A value in the legend: numbers and texts as they are, others by their number."""
+    key = path.rpartition(".")[2]
+    if value is None:
+        return f"no {key}"
+    if isinstance(value, dict | tuple):
+        rest = [one for one in values if one is not None]
+        return key if len(rest) == 1 else f"{key} {rest.index(value) + 1}"
+    return shown(value) if isinstance(value, str) else f"{key} {shown(value)}"

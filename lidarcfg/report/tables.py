@@ -12,10 +12,9 @@ from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
-from lidarcfg.report.names import MANY, summarize, truncate
+from lidarcfg.report.describe import counted, describe_returns, price
 from lidarcfg.report.robustness import robust_lines
-from lidarcfg.report.terminal import terminal
-from lidarcfg.report.words import counted, describe_returns, price
+from lidarcfg.report.text import MANY, summarize, terminal, truncate
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:

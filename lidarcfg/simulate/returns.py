@@ -64,7 +64,7 @@ class Target:
     @cached_property
     def shape(self) -> core.returns.TargetShape:
         """The object as the core takes it."""
-        corners = self.mesh[0][self.mesh[1]] - self._origin_m
+        corners = self.mesh[0][self.mesh[1]] - self.origin_m
         number = np.arange(len(corners), dtype=np.int32)
         kind = np.full(len(corners), TRIANGLE, np.uint8)
         bvh = core.world.Bvh(corners.reshape(-1, 9), kind, number, np.zeros_like(number))
@@ -74,7 +74,7 @@ class Target:
     def box_m(self) -> tuple[Array, Array]:
         """(3,) each: the lower and the upper corner of its bounding box, relative to its place."""
         vertices = self.mesh[0]
-        return vertices.min(axis=0) - self._origin_m, vertices.max(axis=0) - self._origin_m
+        return vertices.min(axis=0) - self.origin_m, vertices.max(axis=0) - self.origin_m
 
     @property
     def size_m(self) -> Array:
@@ -83,7 +83,7 @@ class Target:
         return np.asarray(high - low)
 
     @property
-    def _origin_m(self) -> Array:
+    def origin_m(self) -> Array:
         """(3,) the middle of its lowest points' plane."""
         low = self.mesh[0].min(axis=0)
         high = self.mesh[0].max(axis=0)
@@ -176,12 +176,90 @@ def returns(
     def run(part: NDArray[np.int64]) -> None:
         core.returns.count_returns(places, part, scanners, poses.R, poses.t, object_shape, obstacles, counts)
 
-    count = max(-(-len(places) // PLACES_PER_PART), 1)
-    parts = [np.arange(first, len(places), count) for first in range(count)]
+    _in_parts(len(places), run, threads, on_places)
+    return Returned(counts, phases)
+
+
+def _in_parts(
+    places: int, run: Callable[[NDArray[np.int64]], None], threads: int | None, on_places: Callable[[int], None]
+) -> None:
+    """Have threads run some of the places at a time, by their numbers."""
+    count = max(-(-places // PLACES_PER_PART), 1)
+    parts = [np.arange(first, places, count) for first in range(count)]
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         try:
             for part, _ in zip(parts, pool.map(run, parts), strict=True):
                 on_places(len(part))
         finally:
             pool.shutdown(cancel_futures=True)
-    return Returned(counts, phases)
+
+
+class Lowest(NamedTuple):
+    """The returns from an object at P places, each sensor in its worst phase, up to a cap."""
+
+    counts: NDArray[np.int32]  # (P, sensors) at most the cap; below 0: unknown
+    phases: NDArray[np.int8]  # (P, sensors) the worst phase, where there are fewer returns than the cap
+
+
+def count_lowest(
+    places: Array,
+    target: Target,
+    scanners: Sequence[core.returns.Scanner],
+    poses: Poses,
+    obstacles: Obstacles,
+    cap: int,
+    wanted: int,
+    lowest: Lowest,
+    on_places: Callable[[int], None] = lambda count: None,
+) -> None:
+    """Write those of the lowest counts at places (P, 4) that are unknown, until `wanted` sensors have the cap.
+
+    So the sum of what is known is exact without the `wanted` − 1 largest counts, if it is below the cap.
+    """
+    shape = target.shape
+
+    def run(part: NDArray[np.int64]) -> None:
+        core.returns.count_lowest(
+            places, part, scanners, poses.R, poses.t, shape, obstacles, cap, wanted, lowest.counts, lowest.phases
+        )
+
+    _in_parts(len(places), run, None, on_places)
+
+
+class ClusterRule(NamedTuple):
+    """Which returns are taken for one object."""
+
+    tolerance_m: float  # between neighbours, at most
+    above_m: float  # height in the vehicle frame that at least one of its points has
+
+
+def count_clusters(
+    places: Array,
+    target: Target,
+    scanners: Sequence[core.returns.Scanner],
+    poses: Poses,
+    obstacles: Obstacles,
+    rule: ClusterRule,
+    lost: int,
+    sensors: int,
+    joint: bool,
+    cap: int,
+    on_places: Callable[[int], None] = lambda count: None,
+) -> Lowest:
+    """The points (P, 1) of the largest cluster of an object's returns at places (P, 4), in the worst case.
+
+    With `lost` sensors gone; of all others together, or with `sensors` of each of so many alone. In the worst of all
+    combinations of phases if `joint`, else with each sensor in the phase of its fewest returns. Beyond the cap values
+    are lower bounds. Also the phases there (P, sensors); -1: lost.
+    """
+    counts = np.zeros(len(places), np.int32)
+    phases = np.zeros((len(places), len(scanners)), np.int8)
+    shape = target.shape
+
+    def run(part: NDArray[np.int64]) -> None:
+        core.returns.count_clusters(
+            places, part, scanners, poses.R, poses.t, shape, obstacles, *rule, lost, sensors, joint, cap, counts, phases
+        )
+
+    _in_parts(len(places), run, None, on_places)
+    return Lowest(counts[:, None], phases)

@@ -159,7 +159,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
             kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
     firing, which = np.nonzero(there)
     cloud = PointCloud(
-        xyz=_beam_ends(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
+        xyz=beam_ends(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
         intensity=found.reflectivity[firing, which],
         ring=np.empty(0, np.uint8),
         time_ns=fired.time_ns[firing],
@@ -171,7 +171,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     return firing, cloud
 
 
-def _beam_ends(sensor: Sensor, laser: Bytes, encoder_rad: Array, range_m: Array) -> Array:
+def beam_ends(sensor: Sensor, laser: Bytes, encoder_rad: Array, range_m: Array) -> Array:
     """(N, 3) the ends of the beams in the sensor's frame."""
     azimuth_rad = encoder_rad + sensor.azimuth_offset_rad[laser]
     elevation_rad = sensor.elevation_rad[laser]

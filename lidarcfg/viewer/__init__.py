@@ -1,1 +1,13 @@
-"""Viewing: a page in the browser or as one file, Open3D's window, and stills without a screen."""
+"""The viewer: a page in the browser or as one file, Open3D's window, and stills without a screen.
+
+To read in this order: `contents` loads what is shown; `rig_source` writes changed poses into a rig's file; `mounting`
+checks a rig against its study, `bodies` has subspaces and surfaces as meshes, `evaluation` what the page says of a rig.
+`timeline` has what moves, `colours` and `camera` how it looks. `page` makes a page of all this and `server` serves it;
+`still` and `window` draw it without a browser. `web/` is the page's own code.
+
+`__init__.pyi` lists the names. Each loads its module on first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

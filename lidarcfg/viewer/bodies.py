@@ -1,32 +1,31 @@
-"""Bodies of cuboids as merged faces: the worst subspaces of a rig, and what the region excludes."""
+"""Bodies to draw: the worst subspaces of a rig, what no LiDAR sees, where bases may be; and meshes as JSON."""
 
+import base64
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarcfg.geometry import Array, up
+from lidarcfg.geometry import Array
 from lidarcfg.placement.blind_spots import fraction_below
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.metric import Extent, extents, max_vsr, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.placement.subspace import Subspaces, segment
-from lidarcfg.placement.surfaces import Surface
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.viewer.mounting import poses_in_study
 
-TOLERANCE = 1e-9  # metres and radians
 RAISED_M = 0.002, 0.004  # above a body, so that they are seen: where bases may be, and bases
 
 
 @dataclass(frozen=True)
 class Body:
-    """A subspace to draw."""
+    """A subspace, to draw."""
 
     vsr_m: float
     volume_m3: float
@@ -36,7 +35,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Blind:
-    """What no LiDAR sees, to draw."""
+    """The blind volume, to draw."""
 
     volume_m3: float
     fraction: float  # of the region's volume
@@ -54,7 +53,7 @@ class RigScore:
     zones: tuple[ZoneVsr, ...]  # of studies that have some
 
 
-def hides(study: Study) -> bool:
+def has_obstacles(study: Study) -> bool:
     """Whether anything in a study hides what is behind it."""
     return study.visibility is not None and study.visibility.blocks
 
@@ -65,16 +64,16 @@ def visibility_of(study: Study, transparent: bool) -> Visibility | None:
 
 
 def other_max_vsr_m(study: Study, rig: Rig, transparent: bool) -> float:
-    """Max VSR with what hides, if it is `transparent` now, or else without."""
+    """Max VSR with what has_obstacles, if it is `transparent` now, or else without."""
     return max_vsr(study.region, rig_lidars(rig), visibility_of(study, not transparent))
 
 
 def score(study: Study, rig: Rig, worst: int, transparent: bool = False) -> RigScore:
     """The rig's max VSR, its worst subspaces and what is blind; nothing hides anything if it is `transparent`."""
-    return scored(study, segment(study.region, rig_lidars(rig), visibility_of(study, transparent)), worst)
+    return score_subspaces(study, segment(study.region, rig_lidars(rig), visibility_of(study, transparent)), worst)
 
 
-def scored(study: Study, spaces: Subspaces, worst: int) -> RigScore:
+def score_subspaces(study: Study, spaces: Subspaces, worst: int) -> RigScore:
     """The score of a rig that is segmented already."""
     vsr = vsr_m(spaces)
     volume = volume_m3(spaces)
@@ -147,17 +146,17 @@ def _outer(inside: NDArray[np.bool_], axis: int, layer: int) -> Iterator[NDArray
         yield np.diff(np.pad(here, ((1, 1), (0, 0))), axis=0)
 
 
-def seats_m(study: Study) -> Array:
+def base_area_m(study: Study) -> Array:
     """(F, 4, 3) where the bases of sensors may be on the vehicle."""
     surfaces = [surface for surface in dict.fromkeys(slot.surface for slot in study.slots) if surface]
     cells = [surface.patch.cells_m + RAISED_M[0] * surface.out for surface in surfaces]
     return np.concatenate([np.empty((0, 4, 3)), *cells])
 
 
-def bases_m(study: Study, rig: Rig) -> Array:
+def base_discs_m(study: Study, rig: Rig) -> Array:
     """(T, 3, 3) triangles of the bases of a rig's sensors on the vehicle; none for a rig with other sensors."""
     found = [np.empty((0, 3, 3))]
-    for slot, pose in zip(study.slots, _poses(study, rig), strict=False):
+    for slot, pose in zip(study.slots, poses_in_study(study, rig), strict=False):
         if slot.surface:
             rim = slot.surface.rims_m(pose[None])[0] + RAISED_M[1] * slot.surface.out
             middle = np.broadcast_to(rim[:-1].mean(axis=0), (len(rim) - 1, 3))
@@ -165,85 +164,24 @@ def bases_m(study: Study, rig: Rig) -> Array:
     return np.concatenate(found)
 
 
-def mirrored_pairs(study: Study, rig: Rig) -> list[tuple[int, int, float]]:
-    """A sensor, its mirror image and the y of the plane between them; none for a rig with other sensors."""
-    if not has_its_sensors(study, rig):
-        return []
-    return [(i - 1, i, y_m) for i, y_m in enumerate(study.mirror.tolist()) if not np.isnan(y_m)]
+def packed_mesh(vertices: Array, triangles: NDArray[np.int64]) -> dict[str, Any]:
+    """Vertices (V, 3) relative to an origin of their own, so that float32 suffices anywhere."""
+    origin = vertices[0]
+    return {
+        "origin_m": origin.tolist(),
+        "vertices": base64.b64encode((vertices - origin).astype("<f4").tobytes()).decode(),
+        "triangles": base64.b64encode(triangles.astype("<u4").tobytes()).decode(),
+    }
 
 
-def has_its_sensors(study: Study, rig: Rig) -> bool:
-    """Whether a rig has the sensors of a study."""
-    return [mount.sensor.beams for mount in rig.mounts] == [slot.sensor.beams for slot in study.slots]
+def packed_quads(quads: Array) -> dict[str, Any] | None:
+    """The mesh of quads (F, 4, 3), or none."""
+    if not len(quads):
+        return None
+    first = 4 * np.arange(len(quads))[:, None, None]
+    return packed_mesh(quads.reshape(-1, 3), (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3))
 
 
-def _poses(study: Study, rig: Rig) -> Array:
-    """(slots, 6) of a rig with the study's sensors; (0, 6) of another."""
-    if not has_its_sensors(study, rig):
-        return np.empty((0, 6))
-    return np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
-
-
-def violations(study: Study, rig: Rig) -> list[str]:
-    """Which of the study's bounds and constraints a rig violates, in words; none for a rig with other sensors."""
-    found: list[str] = []
-    poses = _poses(study, rig)
-    if not len(poses):
-        return found
-    tilt_deg = np.degrees(np.arccos(np.clip(up(poses[:, 3:])[:, 2], -1.0, 1.0)))
-    for i, mount in enumerate(rig.mounts):
-        surface = study.slots[i].surface
-        if surface:
-            found += [f"{mount.name}: {text}" for text in _off(surface, poses[i], study.lower[i], study.upper[i])]
-        elif np.isnan(study.mirror[i]):
-            found += [f"{mount.name}: {text}" for text in _outside(poses[i], study.lower[i], study.upper[i])]
-        else:
-            image = poses[i - 1] * (1, -1, 1, -1, 1, -1) + (0, 2 * study.mirror[i], 0, 0, 0, 0)
-            if not (_near(poses[i, :3], image[:3]) and _near(up(poses[i, 3:]), up(image[3:]))):
-                found.append(
-                    f"{mount.name}: is not the mirror image of {rig.mounts[i - 1].name} in y = {study.mirror[i]:g} m"
-                )
-        if tilt_deg[i] > study.constraints.max_tilt_deg + TOLERANCE:
-            found.append(f"{mount.name}: tilt {tilt_deg[i]:.2f}° is above {study.constraints.max_tilt_deg:g}°")
-    for i, j in combinations(range(len(poses)), 2):
-        apart_m = float(np.linalg.norm(poses[i, :3] - poses[j, :3]))
-        if apart_m < study.constraints.min_distance_m - TOLERANCE:
-            names = f"{rig.mounts[i].name} and {rig.mounts[j].name}"
-            found.append(f"{names}: {apart_m:.3f} m apart; allowed: {study.constraints.min_distance_m:g} m and more")
-    return found
-
-
-def _off(surface: Surface, pose: Array, low: Array, high: Array) -> list[str]:
-    """Whether a sensor does not sit on its surface, and which of its angles (6,) are out of bounds."""
-    is_off = surface.violation(pose[None])[0] > 0
-    found = [f"its base is not wholly on {surface.body.name} as seen from {surface.side}"] if is_off else []
-    if not surface.upright or surface.is_image:
-        return found
-    anywhere = np.where(np.arange(6) < 3, np.inf, 0.0)
-    return found + _outside(pose, low - anywhere, high + anywhere)
-
-
-def _near(a: Array, b: Array) -> bool:
-    return bool((abs(a - b) <= TOLERANCE).all())
-
-
-def _outside(pose: Array, low: Array, high: Array) -> list[str]:
-    """Which coordinates (6,) are out of bounds, for the better of the two sets of angles of the same orientation."""
-    roll, pitch, yaw = pose[3:]
-    equivalents = [pose, np.array([*pose[:3], roll + np.pi, np.pi - pitch, yaw + np.pi])]
-    return min((_beyond(angles, low, high) for angles in equivalents), key=len)
-
-
-def _beyond(pose: Array, low: Array, high: Array) -> list[str]:
-    found = []
-    for i, name in enumerate(COORDINATES):
-        value = pose[i]
-        least = low[i]
-        most = high[i]
-        if i < 3:
-            if not least - TOLERANCE <= value <= most + TOLERANCE:
-                found.append(f"{name} {value:.3f} m is outside {least:g} to {most:g} m")
-        elif (value - least + TOLERANCE) % (2 * np.pi) > most - least + 2 * TOLERANCE:
-            least, most, value = np.degrees((least, most, value))
-            found.append(f"{name} {value:.2f}° is outside {least:g} to {most:g}°")
-    return found
+def packed_triangles(corners: Array) -> dict[str, Any] | None:
+    """The mesh of triangles (T, 3, 3), or none."""
+    return packed_mesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)) if len(corners) else None

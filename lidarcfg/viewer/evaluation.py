@@ -1,4 +1,4 @@
-"""What the page shows of a rig in a study, again after each move."""
+"""A rig's evaluation as the page shows it, and again after each move."""
 
 from dataclasses import replace
 from typing import Any
@@ -10,22 +10,30 @@ from lidarcfg.placement.evaluation import detection_rates
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.viewer.bodies import bases_m, hides, other_max_vsr_m, scored, violations, visibility_of
-from lidarcfg.viewer.packed import packed_quads, packed_triangles
+from lidarcfg.viewer.bodies import (
+    base_discs_m,
+    has_obstacles,
+    other_max_vsr_m,
+    packed_quads,
+    packed_triangles,
+    score_subspaces,
+    visibility_of,
+)
+from lidarcfg.viewer.mounting import violations
 
 
 def evaluation(study: Study, rig: Rig, worst: int, transparent: bool = False) -> dict[str, Any]:
     """Max VSR and where it is worst, where nothing hides anything if it is `transparent`."""
-    other_m = other_max_vsr_m(study, rig, transparent) if hides(study) else None
-    return _shown(study, rig, worst, transparent, _spaces(study, rig, transparent)) | {"other_max_vsr_m": other_m}
+    other_m = other_max_vsr_m(study, rig, transparent) if has_obstacles(study) else None
+    return _as_json(study, rig, worst, transparent, _spaces(study, rig, transparent)) | {"other_max_vsr_m": other_m}
 
 
 def evaluations(study: Study, rig: Rig, worst: int, with_rates: bool) -> list[dict[str, Any] | None]:
     """As things are, and where something hides also as if nothing did; with rates where they are asked for."""
     found: list[dict[str, Any] | None] = [None, None]
-    for transparent in (False, True) if hides(study) else (False,):
+    for transparent in (False, True) if has_obstacles(study) else (False,):
         spaces = _spaces(study, rig, transparent)
-        shown = _shown(study, rig, worst, transparent, spaces)
+        shown = _as_json(study, rig, worst, transparent, spaces)
         shown |= {"other_max_vsr_m": None, "rates": None}
         try:
             shown["rates"] = _rates(study, rig, transparent, spaces) if with_rates else None
@@ -43,8 +51,8 @@ def _spaces(study: Study, rig: Rig, transparent: bool) -> Subspaces:
     return segment(study.region, rig_lidars(rig), visibility_of(study, transparent))
 
 
-def _shown(study: Study, rig: Rig, worst: int, transparent: bool, spaces: Subspaces) -> dict[str, Any]:
-    found = scored(study, spaces, worst)
+def _as_json(study: Study, rig: Rig, worst: int, transparent: bool, spaces: Subspaces) -> dict[str, Any]:
+    found = score_subspaces(study, spaces, worst)
     return {
         "transparent": transparent,
         "blind": found.blind
@@ -57,7 +65,7 @@ def _shown(study: Study, rig: Rig, worst: int, transparent: bool, spaces: Subspa
         "subspaces": found.subspaces,
         "zones": [{"name": zone.name, "max_vsr_m": zone.max_vsr_m} for zone in found.zones],
         "violations": violations(study, rig),
-        "bases": packed_triangles(bases_m(study, rig)),
+        "bases": packed_triangles(base_discs_m(study, rig)),
         "worst": [
             {
                 "vsr_m": body.vsr_m,
@@ -83,7 +91,7 @@ def _rates(study: Study, rig: Rig, transparent: bool, spaces: Subspaces) -> list
     ]
 
 
-def moved(rig: Rig, poses: Array) -> Rig:
+def with_poses(rig: Rig, poses: Array) -> Rig:
     """The rig with other poses (mounts, 6) of x, y, z, roll, pitch, yaw in metres and radians."""
     mounts = [
         replace(mount, position_m=(x, y, z), rpy_rad=(roll, pitch, yaw))

@@ -1,4 +1,4 @@
-"""The page: its data for a stage, and the whole page as one file that needs neither server nor network."""
+"""The page: the data that it shows, and the whole page as one file that needs neither server nor network."""
 
 import base64
 import json
@@ -18,17 +18,14 @@ from lidarcfg.placement.evaluation import WORST
 from lidarcfg.placement.study import Study
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.viewer import colours
-from lidarcfg.viewer.bodies import faces, has_its_sensors, mirrored_pairs, seats_m
+from lidarcfg.viewer.bodies import base_area_m, faces, packed_mesh, packed_quads
 from lidarcfg.viewer.camera import Camera
-from lidarcfg.viewer.colours import COLOUR_BY, By, colour
+from lidarcfg.viewer.colours import COLOUR_BY, By, colour, sensor_colours, span
+from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.evaluation import evaluations
-from lidarcfg.viewer.packed import packed_mesh, packed_quads
-from lidarcfg.viewer.scenery import parts
-from lidarcfg.viewer.seats import seats
-from lidarcfg.viewer.shades import span
-from lidarcfg.viewer.stage import Stage
+from lidarcfg.viewer.mounting import has_its_sensors, mirrored_pairs, surface_mounts
 from lidarcfg.viewer.still import GROUND_M
-from lidarcfg.viewer.timeline import Timeline, timeline, tracks
+from lidarcfg.viewer.timeline import Timeline, parts, timeline, tracks
 
 ASSETS = Path(__file__).parent / "web"
 MODULES = {"three": "vendor/three.js"} | {
@@ -47,35 +44,35 @@ PIECE = 3 << 22  # bytes of an array in one script of a standalone file
 
 @dataclass(frozen=True)
 class Page:
-    """A stage as the page reads it."""
+    """What the page reads: JSON, and arrays of the points."""
 
     about: dict[str, Any]  # JSON
     arrays: dict[str, NDArray[Any]]  # of the points, little-endian
 
 
 def page_of(
-    stage: Stage, by: By = "sensor", camera: Camera | None = None, worst: int = 3, served: bool = False
+    contents: Contents, by: By = "sensor", camera: Camera | None = None, worst: int = 3, served: bool = False
 ) -> Page:
     """All that the page shows; if it is served it asks for detection rates itself.
 
     Raises CloudError if there is nothing to show, or the colour is unknown.
     """
-    if not (len(stage.cloud.xyz) or stage.rigs or stage.study or stage.scenes):
+    if not (len(contents.cloud.xyz) or contents.rigs or contents.study or contents.scenes):
         raise CloudError("the cloud is empty; there is nothing to show")
-    if by == "object" and stage.objects is None:
+    if by == "object" and contents.objects is None:
         raise CloudError("objects are known only from ground truth; give the .npz of export --truth, too")
-    line = timeline(stage)
-    points, arrays = _points(stage, line) if line and len(stage.cloud.xyz) else (None, {})
+    line = timeline(contents)
+    points, arrays = _points(contents, line) if line and len(contents.cloud.xyz) else (None, {})
     if line:
-        arrays["tracks"] = np.ascontiguousarray(tracks(stage, line), "<f8")
-    shown = evaluations(stage.study, stage.rigs[0], WORST, not served) if stage.study else [None, None]
+        arrays["tracks"] = np.ascontiguousarray(tracks(contents, line), "<f8")
+    shown = evaluations(contents.study, contents.rigs[0], WORST, not served) if contents.study else [None, None]
     about = {
         "version": __version__,
         "by": by,
         "worst": worst,
         "camera": camera
         and {"eye_m": camera.eye_m.tolist(), "target_m": camera.target_m.tolist(), "field_deg": camera.field_deg},
-        "opening": _opening(stage, shown[0], worst).tolist(),
+        "opening": _opening(contents, shown[0], worst).tolist(),
         "colours": {
             "background": colours.NIGHT,
             "scale": list(colours.SCALE),
@@ -86,22 +83,22 @@ def page_of(
             "excluded": colours.EXCLUDED,
             "blind": colours.BLIND,
             "vehicle": colours.VEHICLE,
-            "seat": colours.SEAT,
+            "base_area": colours.BASE_AREA,
             "base": colours.BASE,
             "zone": colours.ZONE,
         },
-        "sensors": [{"name": name, "colour": code} for name, code in stage.colours.items()],
+        "sensors": [{"name": name, "colour": code} for name, code in sensor_colours(contents).items()],
         "points": points,
-        "timeline": line and _timeline(line, stage),
-        "rigs": [{"name": rig.name, "mounts": [_mount(m) for m in rig.mounts]} for rig in stage.rigs],
-        "study": stage.study and _study(stage.study, stage.rigs[0]),
-        "mirrored": mirrored_pairs(stage.study, stage.rigs[0]) if stage.study else [],
-        "seated": seats(stage.study, stage.rigs[0]) if stage.study else [],
+        "timeline": line and _timeline(line, contents),
+        "rigs": [{"name": rig.name, "mounts": [_mount(m) for m in rig.mounts]} for rig in contents.rigs],
+        "study": contents.study and _study(contents.study, contents.rigs[0]),
+        "mirrored": mirrored_pairs(contents.study, contents.rigs[0]) if contents.study else [],
+        "on_surface": surface_mounts(contents.study, contents.rigs[0]) if contents.study else [],
         "evaluation": shown[0],
         "transparent": shown[1],
-        "vehicle": stage.vehicle and {"mesh": packed_mesh(*stage.vehicle.scene.mesh())},
-        "ground_m": _ground_m(stage),
-        "scenes": _scenes(stage),
+        "vehicle": contents.vehicle and {"mesh": packed_mesh(*contents.vehicle.scene.mesh())},
+        "ground_m": _ground_m(contents),
+        "scenes": _scenes(contents),
     }
     return Page(about, arrays)
 
@@ -139,8 +136,8 @@ def _data_url(code: bytes) -> str:
     return f"data:text/javascript;base64,{base64.b64encode(code).decode()}"
 
 
-def _points(stage: Stage, line: Timeline) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    cloud = stage.cloud
+def _points(contents: Contents, line: Timeline) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    cloud = contents.cloud
     time = ((cloud.time_ns - line.start_ns) // line.unit_ns).astype(np.uint32)
     bins = (time * (BINS / (line.end + 1))).astype(np.uint8)
     order = np.random.default_rng(1).permutation(len(time))
@@ -156,8 +153,8 @@ def _points(stage: Stage, line: Timeline) -> tuple[dict[str, Any], dict[str, NDA
         "time": time.astype("<u4", copy=False)[order],
         "fact": fact[order],
     }
-    if stage.objects:
-        arrays["thing"] = stage.objects.index.astype("<u2", copy=False)[order]
+    if contents.objects:
+        arrays["thing"] = contents.objects.index.astype("<u2", copy=False)[order]
     counts = np.bincount(cloud.sensor, minlength=len(cloud.sensor_names))
     about = {
         "count": len(time),
@@ -168,31 +165,31 @@ def _points(stage: Stage, line: Timeline) -> tuple[dict[str, Any], dict[str, NDA
         "sensors": [
             {"name": name, "count": int(count)} for name, count in zip(cloud.sensor_names, counts, strict=True)
         ],
-        "objects": _objects(stage),
-        "spans": {by: span(stage, by) for by in COLOUR_BY if by not in ("sensor", "object")},
+        "objects": _objects(contents),
+        "spans": {by: span(contents, by) for by in COLOUR_BY if by not in ("sensor", "object")},
     }
     return about, arrays
 
 
-def _timeline(line: Timeline, stage: Stage) -> dict[str, Any]:
+def _timeline(line: Timeline, contents: Contents) -> dict[str, Any]:
     return {
         "start": _utc(line.start_ns),
         "unit_s": line.unit_ns / 1e9,
         "end": line.end,
         "frame": line.frame,
         "frames": line.frames.tolist(),
-        "drives": not stage.trajectory.path.is_static,
+        "drives": not contents.trajectory.path.is_static,
     }
 
 
-def _objects(stage: Stage) -> list[dict[str, Any]] | None:
-    if not stage.objects:
+def _objects(contents: Contents) -> list[dict[str, Any]] | None:
+    if not contents.objects:
         return None
-    counts = np.bincount(stage.objects.index, minlength=len(stage.objects.names)).tolist()
+    counts = np.bincount(contents.objects.index, minlength=len(contents.objects.names)).tolist()
     shown = [*(colour(i) for i in range(len(counts) - 1)), colours.UNKNOWN]
     return [
         {"name": name, "count": count, "colour": code}
-        for name, count, code in zip(stage.objects.names, counts, shown, strict=True)
+        for name, count, code in zip(contents.objects.names, counts, shown, strict=True)
     ]
 
 
@@ -204,20 +201,20 @@ def _utc(time_ns: int) -> str:
         return f"{seconds} s since 1970"
 
 
-def _opening(stage: Stage, found: dict[str, Any] | None, worst: int) -> Array:
+def _opening(contents: Contents, found: dict[str, Any] | None, worst: int) -> Array:
     """(n, 3) outermost places of what the page shows whole when it opens: the vehicle, its sensors and the worst
     subspaces; without a study also most of the points, or the scene around."""
-    corners = [np.array([mount.position_m for rig in stage.rigs for mount in rig.mounts]).reshape(-1, 3)]
-    if stage.vehicle:
-        corners.append(stage.vehicle.scene.mesh()[0])
-    if stage.study and found:
+    corners = [np.array([mount.position_m for rig in contents.rigs for mount in rig.mounts]).reshape(-1, 3)]
+    if contents.vehicle:
+        corners.append(contents.vehicle.scene.mesh()[0])
+    if contents.study and found:
         corners += [_corners(body["mesh"]) for body in found["worst"][:worst]]
-    elif len(stage.cloud.xyz):
-        some = stage.cloud.xyz[:: max(len(stage.cloud.xyz) // 10_000, 1)]
+    elif len(contents.cloud.xyz):
+        some = contents.cloud.xyz[:: max(len(contents.cloud.xyz) // 10_000, 1)]
         middle = corners[0].mean(axis=0) if len(corners[0]) else np.median(some, axis=0)
         away = np.linalg.norm(some - middle, axis=1)
         corners.append(some[away <= np.clip(np.percentile(away, 70), 2.0, 60.0)])
-    elif stage.scenes or not len(corners[0]):
+    elif contents.scenes or not len(corners[0]):
         corners.append(SIDES * (SURROUNDINGS_M, SURROUNDINGS_M, 0))
     else:
         corners += [at + ALONE_M * SIDES for at in corners[0]]
@@ -230,11 +227,11 @@ def _corners(mesh: dict[str, Any]) -> Array:
     return np.asarray(vertices + np.array(mesh["origin_m"]), np.float64)
 
 
-def _ground_m(stage: Stage) -> float:
+def _ground_m(contents: Contents) -> float:
     """The height of the grid and of the range rings: the region's floor, or the ground's, or 0."""
-    if stage.study:
-        return float(stage.study.region.min_m[2])
-    heights = [_ground_center_m(stage, scene.file.ground.z_m)[2] for scene in stage.scenes if scene.file.ground]
+    if contents.study:
+        return float(contents.study.region.min_m[2])
+    heights = [_ground_center_m(contents, scene.file.ground.z_m)[2] for scene in contents.scenes if scene.file.ground]
     return heights[0] if heights else 0.0
 
 
@@ -266,7 +263,7 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         ]
         if ours
         else [],
-        "seats": packed_quads(seats_m(study)) if ours else None,
+        "base_area": packed_quads(base_area_m(study)) if ours else None,
         "zones": [
             {"name": zone.name, "weight": zone.weight, "min_m": zone.box_m[0].tolist(), "max_m": zone.box_m[1].tolist()}
             for zone in study.zones
@@ -275,12 +272,12 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
     }
 
 
-def _scenes(stage: Stage) -> list[dict[str, Any]]:
+def _scenes(contents: Contents) -> list[dict[str, Any]]:
     """The scenes: what is static in the page's frame, and dynamic objects in their own, each with its track."""
     found = []
-    T = stage.T_vehicle_world
+    T = contents.T_vehicle_world
     track = 0  # the first track is the vehicle's
-    for scene in stage.scenes:
+    for scene in contents.scenes:
         static = None
         dynamic = []
         for part in parts(scene):
@@ -296,13 +293,13 @@ def _scenes(stage: Stage) -> list[dict[str, Any]]:
                 "objects": len(scene.names),
                 "mesh": static,
                 "dynamic": dynamic,
-                "ground": ground and {"center_m": _ground_center_m(stage, ground.z_m), "half_m": GROUND_M},
+                "ground": ground and {"center_m": _ground_center_m(contents, ground.z_m), "half_m": GROUND_M},
             }
         )
     return found
 
 
-def _ground_center_m(stage: Stage, z_m: float) -> list[float]:
+def _ground_center_m(contents: Contents, z_m: float) -> list[float]:
     """The place of a scene's ground under the vehicle."""
-    below = transform(stage.T_vehicle_world, [[*stage.T_world_vehicle[:2, 3], z_m]])[0]
+    below = transform(contents.T_vehicle_world, [[*contents.T_world_vehicle[:2, 3], z_m]])[0]
     return [float(value) for value in below]

@@ -30,31 +30,31 @@ class RigSource:
     text: str
 
     @classmethod
-    def of(cls, path: Path) -> "RigSource | None":
+    def read(cls, path: Path) -> "RigSource | None":
         """The source at a path; None unless it is a regular file. Raises OSError."""
         return cls(path, path.read_bytes().decode("utf-8", "replace")) if path.is_file() else None
 
-    def saved(self, poses: Array) -> "RigSource":
-        """The file with other poses (mounts, 6) in metres and radians, written in its place.
+    def save(self, poses: Array) -> "RigSource":
+        """Write the file with other poses (mounts, 6) in metres and radians, in its place; returns the new source.
 
         Raises ConfigError if the file has changed since it was read, or its text cannot take them, and OSError.
         """
         real = Path(os.path.realpath(self.path))
         if real.is_relative_to(Path(lidarcfg.__file__).parent):
             raise ConfigError(f"{self.path}: comes with lidarcfg and is not changed; {ELSE}")
-        if not self._is_there():
+        if not self._is_unchanged():
             raise ConfigError(f"{self.path}: has changed on disk since it was opened; nothing is written; {ELSE}")
-        changed = replace(self, text=self._with(poses))
+        changed = replace(self, text=self._text_with(poses))
         with replacing(self.path, "wb") as file:
             file.write(changed.text.encode())
         return changed
 
-    def _is_there(self) -> bool:
+    def _is_unchanged(self) -> bool:
         """Whether the file is unchanged; a file of another size is not read."""
         text = self.text.encode()
         return self.path.is_file() and self.path.stat().st_size == len(text) and self.path.read_bytes() == text
 
-    def _with(self, poses: Array) -> str:
+    def _text_with(self, poses: Array) -> str:
         """The text with other poses. Raises ConfigError."""
         before = _poses(self.text, self.path)
         root = yaml.compose(self.text, yaml.SafeLoader)

@@ -18,17 +18,17 @@ from lidarcfg.geometry import Array
 from lidarcfg.inputs import out_of_memory
 from lidarcfg.placement.evaluation import WORST
 from lidarcfg.sensors.rig import Rig, rig_text
-from lidarcfg.viewer.evaluation import evaluation, moved, rates
+from lidarcfg.viewer.contents import Contents
+from lidarcfg.viewer.evaluation import evaluation, rates, with_poses
+from lidarcfg.viewer.mounting import slide
 from lidarcfg.viewer.page import ASSETS, MODULES, Page, html
-from lidarcfg.viewer.seats import seated
-from lidarcfg.viewer.stage import Stage
 
 HERE = "127.0.0.1"
 HOSTS = (HERE, "localhost")  # any other name could be a page from elsewhere
 HOST = re.compile(rf"({'|'.join(map(re.escape, HOSTS))})(:[0-9]{{1,5}})?")
 REQUEST_MAX = 1 << 20  # bytes
 TOKEN = "X-Lidarcfg-Token"  # a header that a page from elsewhere can neither know nor send
-IDLE_S = 30.0  # a connection that says nothing for so long is closed
+IDLE_S = 30.0  # after which a silent connection is closed
 
 
 class Server(ThreadingHTTPServer):
@@ -37,15 +37,15 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 256  # connections that wait to be accepted
 
-    def __init__(self, stage: Stage, page: Page, port: int = 0) -> None:
-        self.stage = stage
+    def __init__(self, contents: Contents, page: Page, port: int = 0) -> None:
+        self.contents = contents
         self.page = page
-        self.source = stage.source
+        self.source = contents.source
         self.token = secrets.token_urlsafe()
         self.evaluating = threading.Lock()
         self.counting = threading.Lock()
         self.saving = threading.Lock()
-        about = page.about | {"live": True, "token": self.token, "file": stage.source and str(stage.source.path)}
+        about = page.about | {"live": True, "token": self.token, "file": contents.source and str(contents.source.path)}
         self.texts = {
             "/": ("text/html; charset=utf-8", html(None).encode()),
             "/about.json": ("application/json", json.dumps(about, allow_nan=False).encode()),
@@ -90,7 +90,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             request = self._request()
-            poses = _poses(request, self.server.stage.rigs)
+            poses = _poses(request, self.server.contents.rigs)
             kind, answer = self._answer(request, poses)
             if kind:
                 self._send(kind, answer)
@@ -108,18 +108,18 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, request: dict[str, Any], poses: Array) -> tuple[str, bytes]:
         """The kind and the body of an answer; both empty if there is none. Raises ConfigError, OSError."""
         server = self.server
-        study = server.stage.study
-        rig = moved(server.stage.rigs[0], poses)
+        study = server.contents.study
+        rig = with_poses(server.contents.rigs[0], poses)
         if self.path == "/rig.yaml":
             return "application/yaml", rig_text(rig).encode()
         if self.path == "/save" and server.source:
             if not secrets.compare_digest(self.headers.get(TOKEN, "").encode(), server.token.encode()):
                 raise ConfigError("the request does not come from the page as it is served now; reload it")
             with server.saving:
-                server.source = server.source.saved(poses)
+                server.source = server.source.save(poses)
             return _json({"file": str(server.source.path)})
         if self.path == "/place" and study:
-            return _json({"poses": seated(study, poses, *_move(request, server.page.about["seated"])).tolist()})
+            return _json({"poses": slide(study, poses, *_move(request, server.page.about["on_surface"])).tolist()})
         if self.path == "/evaluate" and study:
             with server.evaluating:
                 return _json(evaluation(study, rig, _count(request), _flag(request, "transparent")))
@@ -195,12 +195,12 @@ def _numbers(request: dict[str, Any], key: str, shape: tuple[int, ...]) -> Array
     return poses
 
 
-def _move(request: dict[str, Any], seats: list[int]) -> tuple[int, Array, bool]:
+def _move(request: dict[str, Any], surface_mounts: list[int]) -> tuple[int, Array, bool]:
     """Which sensor on a surface is moved where to, and whether its image follows. Raises ConfigError."""
     number = request.get("mount")
-    if isinstance(number, bool) or number not in seats:
+    if isinstance(number, bool) or number not in surface_mounts:
         raise ConfigError(
-            f"mount: allowed is one that sits on a surface: {', '.join(map(str, seats)) or 'there is none'}"
+            f"mount: allowed is one that sits on a surface: {', '.join(map(str, surface_mounts)) or 'there is none'}"
         )
     return int(number), _numbers(request, "pose", (6,)), _flag(request, "mirrors")
 

@@ -1,4 +1,4 @@
-"""Stills: a stage drawn without a screen, a GPU or a display server."""
+"""Stills: pictures drawn without a screen, a GPU or a display server."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,29 +11,32 @@ from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.inputs import check_memory
-from lidarcfg.report.names import truncate
+from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.viewer.bodies import bases_m, faces, has_its_sensors, score, seats_m
+from lidarcfg.viewer.bodies import base_area_m, base_discs_m, faces, score
 from lidarcfg.viewer.camera import Camera
 from lidarcfg.viewer.colours import (
     BACKGROUND,
     BASE,
+    BASE_AREA,
     EXCLUDED,
     NIGHT,
     RETRO,
-    SEAT,
     UNKNOWN,
     VEHICLE,
     WORST,
     ZONE,
     By,
     colour,
+    point_colours,
     rgb,
     scaled,
+    sensor_colours,
+    span,
 )
-from lidarcfg.viewer.scenery import mesh_at
-from lidarcfg.viewer.shades import point_colours, span
-from lidarcfg.viewer.stage import Stage
+from lidarcfg.viewer.contents import Contents
+from lidarcfg.viewer.mounting import has_its_sensors
+from lidarcfg.viewer.timeline import mesh_at
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +47,7 @@ BAND = 256  # rows of pixels that labels and lines are blended into at a time
 NEAR_M = 0.05
 GROUND_M = 200.0  # of the ground, to each side of the vehicle
 AXIS_M = 0.6
-SEAT_AHEAD_M = 0.5  # before the triangles of the body that a sensor sits on
+BASE_AHEAD_M = 0.5  # before the triangles of the body that a sensor sits on
 AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
 PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the rest is the view from above
 ABOVE = (0.04, 0.055, 0.95, 0.35)  # its left, bottom, width and height in such a picture
@@ -52,14 +55,14 @@ LABELS_EM = 6.0  # at its left, where that is more
 
 
 def save_still(
-    stage: Stage,
+    contents: Contents,
     path: str | Path,
     size: tuple[int, int] = SIZE,
     camera: Camera | None = None,
     by: By = "sensor",
     worst: int = 1,
 ) -> None:
-    """Draw the stage as a PNG of `size` pixels, from the camera; or without one in perspective and from above.
+    """Draw what was loaded as a PNG of `size` pixels, from the camera; or without one in perspective and from above.
 
     Raises CloudError if there is nothing to draw, or nothing in view; LidarcfgError where memory
     does not hold the picture.
@@ -68,30 +71,30 @@ def save_still(
     from matplotlib.figure import Figure
     from PIL import Image
 
-    if not (len(stage.cloud.xyz) or stage.rigs or stage.study or stage.scenes):
+    if not (len(contents.cloud.xyz) or contents.rigs or contents.study or contents.scenes):
         raise CloudError("the cloud is empty; there is nothing to draw")
     width, height = size
     check_memory(f"a picture of {width} x {height} pixels", PIXEL_BYTES * width * height)
-    colours = point_colours(stage, by)
+    colours = point_colours(contents, by)
     figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor="none")  # lines and labels only
     canvas: Any = FigureCanvasAgg(figure)  # matplotlib has no types here
     pixels = np.full((height, width, 3), rgb([NIGHT])[0], np.uint8)
     if camera:
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        _draw_perspective(axes, pixels, stage, colours, camera, worst)
+        _draw_perspective(axes, pixels, contents, colours, camera, worst)
     else:
-        center, reach_m = _center(stage)
+        center, reach_m = _center(contents)
         axes = figure.add_axes((0.0, 1 - PERSPECTIVE_FRACTION, 1.0, PERSPECTIVE_FRACTION))
         camera = Camera(center + np.array([-21.0, -7.0, 7.5]), center + np.array([8.0, 0.5, 0.5]), 74.0)
-        _draw_perspective(axes, pixels[: round(height * PERSPECTIVE_FRACTION)], stage, colours, camera, worst)
+        _draw_perspective(axes, pixels[: round(height * PERSPECTIVE_FRACTION)], contents, colours, camera, worst)
         left, bottom, wide, high = np.round(np.multiply(ABOVE, (width, height, width, height))).astype(int)
         more = min(max(round(LABELS_EM * _text_pt(height) * 100 / 72) - left, 0), wide // 2)
         left += more
         wide -= more
         above = pixels[height - bottom - high : height - bottom, left : left + wide]
         place = left / width, bottom / height, wide / width, high / height
-        _draw_above(figure.add_axes(place), above, stage, colours, center, reach_m, height, worst)
-    _legend(axes, stage, by, height, worst)
+        _draw_above(figure.add_axes(place), above, contents, colours, center, reach_m, height, worst)
+    _legend(axes, contents, by, height, worst)
     drawn, _ = canvas.print_to_buffer()  # RGBA
     _blend(np.frombuffer(drawn, np.uint8).reshape(height, width, 4), pixels)
     with replacing(path, "wb") as file:
@@ -112,32 +115,32 @@ def _faded(colours: NDArray[np.uint8], depth: Array) -> NDArray[np.uint8]:
     return np.asarray(near * colours + (1 - near) * np.array(BACKGROUND), np.uint8)
 
 
-def _mounts(stage: Stage) -> list[Mount]:
-    return [mount for rig in stage.rigs for mount in rig.mounts]
+def _mounts(contents: Contents) -> list[Mount]:
+    return [mount for rig in contents.rigs for mount in rig.mounts]
 
 
-def _center(stage: Stage) -> tuple[Array, float]:
+def _center(contents: Contents) -> tuple[Array, float]:
     """(3,) the picture's center on the ground, by the sensors or else the points; and how much to show to each side."""
-    low = [float(np.percentile(stage.cloud.xyz[:, 2], 5))] if len(stage.cloud.xyz) else []
-    if stage.study:
-        low.append(float(stage.study.region.min_m[2]))
-    mounts = _mounts(stage)
+    low = [float(np.percentile(contents.cloud.xyz[:, 2], 5))] if len(contents.cloud.xyz) else []
+    if contents.study:
+        low.append(float(contents.study.region.min_m[2]))
+    mounts = _mounts(contents)
     if mounts:
         about = np.array([mount.position_m for mount in mounts]).mean(axis=0)
-    elif len(stage.cloud.xyz):
-        about = np.median(stage.cloud.xyz, axis=0)
-    elif stage.study:
-        about = (stage.study.region.min_m + stage.study.region.max_m) / 2
+    elif len(contents.cloud.xyz):
+        about = np.median(contents.cloud.xyz, axis=0)
+    elif contents.study:
+        about = (contents.study.region.min_m + contents.study.region.max_m) / 2
     else:
         about = np.zeros(3)
     return np.array([about[0], about[1], min(low, default=0.0)]), 48.0
 
 
 def _draw_perspective(
-    axes: "Axes", pixels: NDArray[np.uint8], stage: Stage, colours: NDArray[np.uint8], camera: Camera, worst: int
+    axes: "Axes", pixels: NDArray[np.uint8], contents: Contents, colours: NDArray[np.uint8], camera: Camera, worst: int
 ) -> None:
     height, width = pixels.shape[:2]
-    column, row, depth = camera.project(stage.cloud.xyz, width, height)
+    column, row, depth = camera.project(contents.cloud.xyz, width, height)
     faded = _faded(colours, depth)
     image = np.full((height, width, 3), BACKGROUND, np.float32)
     nearest_m = np.full((height, width), np.inf, np.float32)
@@ -152,11 +155,11 @@ def _draw_perspective(
                 fits = (r >= 0) & (r < height) & (c >= 0) & (c < width)
                 image[r[fits], c[fits]] = faded[near[fits]]
                 nearest_m[r[fits], c[fits]] = depth[near[fits]]
-    drawn = int(np.isfinite(nearest_m).sum()) + _draw_bodies(image, nearest_m, stage, camera, worst)
+    drawn = int(np.isfinite(nearest_m).sum()) + _draw_bodies(image, nearest_m, contents, camera, worst)
     pixels[:] = image
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.axis("off")
-    drawn += _draw_region(axes, stage, camera, width, height) + _draw_mounts(axes, stage, camera, width, height)
+    drawn += _draw_region(axes, contents, camera, width, height) + _draw_mounts(axes, contents, camera, width, height)
     if not drawn:
         eye, target = (",".join(f"{v:g}" for v in point) for point in (camera.eye_m, camera.target_m))
         raise CloudError(f"nothing is in view of a camera at {eye} that looks at {target}")
@@ -172,10 +175,10 @@ class Shape(NamedTuple):
 
 
 def _draw_bodies(
-    image: NDArray[np.float32], nearest_m: NDArray[np.float32], stage: Stage, camera: Camera, worst: int
+    image: NDArray[np.float32], nearest_m: NDArray[np.float32], contents: Contents, camera: Camera, worst: int
 ) -> int:
     """Blend the translucent bodies into the image in front of its points; returns the number of pixels."""
-    shapes = _shapes(stage, worst)
+    shapes = _shapes(contents, worst)
     if not shapes:
         return 0
     triangles = camera.view(np.concatenate([shape.triangles for shape in shapes]))
@@ -191,31 +194,34 @@ def _draw_bodies(
     return core.blend_triangles(image, nearest_m, triangles[order], shaded, alpha[order], focal_px, NEAR_M)
 
 
-def _shapes(stage: Stage, worst: int) -> list[Shape]:
+def _shapes(contents: Contents, worst: int) -> list[Shape]:
     """Scenes, the vehicle with the bases and where they fit, exclusions of the region, worst subspaces."""
     shapes: list[Shape] = []
-    for scene in stage.scenes:
-        vertices, corners_of = mesh_at(scene, stage.first_ns - stage.zero_ns)
-        shapes.append(Shape(transform(stage.T_vehicle_world, vertices)[corners_of], EXCLUDED, 0.13))
+    for scene in contents.scenes:
+        vertices, corners_of = mesh_at(scene, contents.first_ns - contents.zero_ns)
+        shapes.append(Shape(transform(contents.T_vehicle_world, vertices)[corners_of], EXCLUDED, 0.13))
         if scene.file.ground:
             corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
-            corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
+            corners[:, 2] = transform(contents.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
             shapes.append(Shape(_halved(corners[None]), EXCLUDED, 0.05))
-    if stage.vehicle:
-        vertices, corners_of = stage.vehicle.scene.mesh()
+    if contents.vehicle:
+        vertices, corners_of = contents.vehicle.scene.mesh()
         shapes.append(Shape(vertices[corners_of], VEHICLE, 0.8))
-    if stage.study and has_its_sensors(stage.study, stage.rigs[0]):
-        shapes.append(Shape(_halved(seats_m(stage.study)), SEAT, 0.7, SEAT_AHEAD_M))
-        shapes.append(Shape(bases_m(stage.study, stage.rigs[0]), BASE, 0.9, SEAT_AHEAD_M))
-    return shapes + [Shape(_halved(quads), code, 0.28) for quads, code in _bodies(stage, worst)]
+    if contents.study and has_its_sensors(contents.study, contents.rigs[0]):
+        shapes.append(Shape(_halved(base_area_m(contents.study)), BASE_AREA, 0.7, BASE_AHEAD_M))
+        shapes.append(Shape(base_discs_m(contents.study, contents.rigs[0]), BASE, 0.9, BASE_AHEAD_M))
+    return shapes + [Shape(_halved(quads), code, 0.28) for quads, code in _bodies(contents, worst)]
 
 
-def _bodies(stage: Stage, worst: int) -> list[tuple[Array, str]]:
+def _bodies(contents: Contents, worst: int) -> list[tuple[Array, str]]:
     """Faces (F, 4, 3) and colour of what the region excludes and of the worst subspaces."""
-    if not stage.study:
+    if not contents.study:
         return []
-    excluded = faces(stage.study.region, ~stage.study.region.included)
-    return [(excluded, EXCLUDED), *((body.faces_m, WORST) for body in score(stage.study, stage.rigs[0], worst).worst)]
+    excluded = faces(contents.study.region, ~contents.study.region.included)
+    return [
+        (excluded, EXCLUDED),
+        *((body.faces_m, WORST) for body in score(contents.study, contents.rigs[0], worst).worst),
+    ]
 
 
 def _halved(quads: Array) -> Array:
@@ -243,16 +249,16 @@ def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height:
     return int(((high >= 0) & (low <= (width, height))).all(axis=1).sum())
 
 
-def _draw_region(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:
+def _draw_region(axes: "Axes", contents: Contents, camera: Camera, width: int, height: int) -> int:
     """The edges of the region and of its zones, and the zones' names."""
-    if not stage.study:
+    if not contents.study:
         return 0
-    region = stage.study.region
+    region = contents.study.region
     seen = 0
-    boxes = [(region.min_m, region.max_m, EXCLUDED), *((*zone.box_m, ZONE) for zone in stage.study.zones)]
+    boxes = [(region.min_m, region.max_m, EXCLUDED), *((*zone.box_m, ZONE) for zone in contents.study.zones)]
     for low, high, code in boxes:
         seen += _draw_lines(axes, _edges(low, high), camera, width, height, colors=code, linewidths=0.8)
-    for zone in stage.study.zones:
+    for zone in contents.study.zones:
         top = np.array([*np.mean(zone.box_m, axis=0)[:2], zone.box_m[1][2]])
         x, y, depth = camera.project(top[None], width, height)
         if depth[0] >= NEAR_M and 0 <= x[0] <= width and 0 <= y[0] <= height:
@@ -270,13 +276,14 @@ def _edges(low: Array, high: Array) -> Array:
     return edges
 
 
-def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:
+def _draw_mounts(axes: "Axes", contents: Contents, camera: Camera, width: int, height: int) -> int:
     """Each sensor: its position, a line down to the ground, its axes and its name."""
-    mounts = _mounts(stage)
+    mounts = _mounts(contents)
+    shown = sensor_colours(contents)
     seen = 0
     if not mounts:
         return 0
-    ground_m = _center(stage)[0][2]
+    ground_m = _center(contents)[0][2]
     size = height / 626
     for i, mount in enumerate(mounts):
         at = np.array(mount.position_m)
@@ -289,7 +296,7 @@ def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
         if depth[0] < NEAR_M or not (0 <= x[0] <= width and 0 <= y[0] <= height):
             continue
         seen += 1
-        axes.plot(x, y, "o", color=stage.colours[mount.name], ms=3 + 8 * size, mec="w", mew=0.8 + size)
+        axes.plot(x, y, "o", color=shown[mount.name], ms=3 + 8 * size, mec="w", mew=0.8 + size)
         axes.annotate(
             truncate(mount.name),
             (x[0], y[0]),
@@ -312,7 +319,7 @@ def _text_pt(picture_height: int) -> float:
 def _draw_above(
     axes: "Axes",
     pixels: NDArray[np.uint8],
-    stage: Stage,
+    contents: Contents,
     colours: NDArray[np.uint8],
     center: Array,
     reach_m: float,
@@ -322,7 +329,7 @@ def _draw_above(
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Rectangle
 
-    xyz = stage.cloud.xyz
+    xyz = contents.cloud.xyz
     height, width = pixels.shape[:2]
     scale = width / (2 * reach_m)
     column = np.floor((xyz[:, 0] - center[0]) * scale + width / 2).astype(int)
@@ -333,17 +340,24 @@ def _draw_above(
     pixels[row[fits], column[fits]] = colours[fits]
     side = height / 2 / scale
     extent = (center[0] - reach_m, center[0] + reach_m, center[1] - side, center[1] + side)
-    for quads, code in _bodies(stage, worst):
+    for quads, code in _bodies(contents, worst):
         flat = quads[np.ptp(quads[..., 2], axis=1) == 0][..., :2]
         axes.add_collection(PolyCollection(list(flat), facecolors=code, alpha=0.2, linewidths=0), autolim=False)
-    if stage.study:
-        low = stage.study.region.min_m
-        edges = stage.study.region.max_m - stage.study.region.min_m
+    if contents.study:
+        low = contents.study.region.min_m
+        edges = contents.study.region.max_m - contents.study.region.min_m
         axes.add_patch(Rectangle((low[0], low[1]), edges[0], edges[1], fill=False, ec=EXCLUDED, lw=0.8))
-    for mount in _mounts(stage):
+    shown = sensor_colours(contents)
+    for mount in _mounts(contents):
         at = mount.position_m
         axes.plot(
-            at[0], at[1], "o", color=stage.colours[mount.name], ms=1 + 6 * picture_height / 1080, mec="w", mew=1.2
+            at[0],
+            at[1],
+            "o",
+            color=shown[mount.name],
+            ms=1 + 6 * picture_height / 1080,
+            mec="w",
+            mew=1.2,
         )
     text = _text_pt(picture_height)
     axes.set(xlim=extent[:2], ylim=extent[2:], facecolor="none")
@@ -352,20 +366,21 @@ def _draw_above(
     axes.tick_params(colors="0.8", labelsize=text)
 
 
-def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None:
+def _legend(axes: "Axes", contents: Contents, by: By, height: int, worst: int) -> None:
     """What the colours mean: sensors or objects with their counts, or the colour scale."""
     from matplotlib.lines import Line2D
 
     entries: list[tuple[str, str]] = []
-    if by in ("sensor", "object") and len(stage.cloud.xyz):
-        if by == "object" and stage.objects:
-            names = stage.objects.names
-            index = stage.objects.index
+    if by in ("sensor", "object") and len(contents.cloud.xyz):
+        if by == "object" and contents.objects:
+            names = contents.objects.names
+            index = contents.objects.index
             shown = [*(colour(i) for i in range(len(names) - 1)), UNKNOWN]
         else:
-            names = stage.cloud.sensor_names
-            index = stage.cloud.sensor
-            shown = [stage.colours[name] for name in names]
+            names = contents.cloud.sensor_names
+            index = contents.cloud.sensor
+            of_sensor = sensor_colours(contents)
+            shown = [of_sensor[name] for name in names]
         counts = np.bincount(index, minlength=len(names))
         most = np.argsort(-counts, kind="stable")[:12] if by == "object" else np.arange(len(names))
         entries = [
@@ -373,8 +388,8 @@ def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None
             for i in most.tolist()
             if counts[i] or by == "sensor"
         ]
-    elif len(stage.cloud.xyz):
-        low, high = span(stage, by)
+    elif len(contents.cloud.xyz):
+        low, high = span(contents, by)
         unit = {"intensity": " %", "height": " m", "time": " s"}.get(by, "")
         for fraction in (1.0, 0.5, 0.0):
             code = scaled([fraction], 0.0, 1.0)[0].astype(int)
@@ -382,8 +397,8 @@ def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None
             entries.append((f"{by} {value:.4g}{unit}", "#{:02x}{:02x}{:02x}".format(*code)))
         if by == "intensity":
             entries.append(("retro-reflector", RETRO))
-    if stage.study and worst:
-        found = score(stage.study, stage.rigs[0], 1)
+    if contents.study and worst:
+        found = score(contents.study, contents.rigs[0], 1)
         entries.append((f"worst subspace: max VSR {found.max_vsr_m:.4f} m", WORST))
     if not entries:
         return

@@ -17,8 +17,7 @@ import pytest
 
 from lidarcfg import __version__
 from lidarcfg.cli import progress as module
-from lidarcfg.cli.interrupts import Interrupts
-from lidarcfg.cli.progress import progress
+from lidarcfg.cli.progress import Interrupts, progress
 from tests.command_line import lidarcfg, started
 
 ROOT = Path(__file__).parents[2]

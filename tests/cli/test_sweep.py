@@ -26,7 +26,7 @@ from lidarcfg.placement import plan as plans
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.sweep import Cluster, Processes, WorkerDiedError, sweep
-from lidarcfg.report import SweepFolder
+from lidarcfg.report.sweep import SweepFolder
 from tests.command_line import lidarcfg as command
 
 BIN = Path(sys.executable).parent

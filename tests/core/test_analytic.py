@@ -118,6 +118,9 @@ def test_states_change_between_crossings():
     assert (first.tolist(), at.tolist(), start.tolist()) == ([0, 1, 1], [3.0], [False, True])
     with pytest.raises(ValueError, match="part: not below parts"):
         core.find_solid_flips(lattice, solid, np.array([0, 1, 2, 0]), 2, start)
+    for parts in (-1, 2**31):
+        with pytest.raises(ValueError, match="parts"):
+            core.find_solid_flips(lattice, solid, np.array([0, 1, 1, 0]), parts, start)
     with pytest.raises(ValueError, match="part: one"):
         core.find_solid_flips(lattice, solid, np.zeros(3, int), 2, start)
     with pytest.raises(ValueError, match="states"):
@@ -202,6 +205,10 @@ def test_boxes_are_counted_at_every_place(high):
             assert places.sum() == len(free)
             assert detected.sum() == sum(len(set(box)) > threshold for box in free)
             assert set(np.flatnonzero(held)) == {box[0] for box in free if len(set(box)) == 1}
+    one = (1, 1, 1)
+    assert core.detected_positions(label, one, 2**31, high, 2**62, held)[0].sum() == 0  # more than there can be
+    rows = core.detected_positions(label, one, 2**31, high, -(2**63), held)[1]
+    assert np.count_nonzero(rows.ravel()[1:]) == 0  # so many were missed before the first row
     for changed in ((0, 1, 1), (5, 1, 1), (1, 1, high + 1)):
         with pytest.raises(ValueError, match="size"):
             core.detected_positions(label, changed, 1, 1, 1, held)
@@ -223,6 +230,7 @@ def test_boxes_anywhere():
     assert core.detected_boxes(label, (0, 0, 0), ONE, boxes[2:3], (0.5, 0.5, 0.5), 0) == (0, 0)
     assert core.detected_boxes(label, (0, 0, 0), ONE, boxes[3:], (0.5, 0.5, 0.5), 0)[0] == 0
     assert core.detected_boxes(label, (0, 0, 0), ONE, boxes[:0], ONE, 0) == (0, 0)
+    assert core.detected_boxes(label, (0, 0, 0), ONE, boxes[:1], (1, 1, 1), 2**31) == (0, 1)
     with pytest.raises(ValueError, match="edge"):
         core.detected_boxes(label, (0, 0, 0), (1, 1, np.nan), boxes, ONE, 0)
     with pytest.raises(ValueError, match="threshold"):

@@ -169,6 +169,25 @@ def test_hesais_pair():
     assert out.time_ns[:count].tolist() == [20, 25, 20]
 
 
+@pytest.mark.parametrize("maker", MAKERS)
+def test_the_last_time_there_is(maker):
+    """After it comes the first one."""
+    last_ns = np.array([2**63 - 1])
+    data = packet(maker, range(0, 1200, 100), {(0, 1): (1000, 7)})
+    decoder, out, wanted = MAKERS[maker][0](slots(), lasers(), 1000, 100, 0.01), returns(1), np.ones(1, np.bool_)
+    assert decoder.decode(data, wanted, last_ns, LAST.gap_ns, LAST.kind, out) == 1
+    assert out.time_ns.tolist() == [-(2**63)]
+    time_ns, encoder_rad = np.zeros((1, 2), np.int64), np.zeros((1, 2))
+    packets.fire(np.zeros(1), last_ns, np.array([0, 1]), 0.1, time_ns, encoder_rad)
+    assert time_ns.tolist() == [[2**63 - 1, -(2**63)]]
+    data = np.ones((1, 32), np.uint8)
+    out = returns(4)
+    for dual in (True, False):
+        changed = fields(stamp_ns=last_ns, dual=np.array([dual]))
+        assert packets.HesaiDecoder(hesai_lasers()).decode(data, wanted, changed, out)
+    assert out.time_ns[:2].tolist() == [2**63 - 1, 4 - 2**63]
+
+
 def test_crc_of_the_catalogue():
     digits = np.frombuffer(b"--123456789", np.uint8)[None]
     assert packets.crc32_mpeg2(digits, 2, 11).tolist() == [0x0376E6E7]

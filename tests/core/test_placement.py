@@ -175,6 +175,24 @@ def test_links_of_sources_are_computed_where_they_changed():
     assert np.array_equal(links[1, 0], links_of(grid, LEVEL))
 
 
+def test_counters_of_what_is_no_trial():
+    """Nothing is taken by a number below 0 or beyond the last one."""
+    grid = grid_of(np.ones((3, 3, 2), bool))
+    evaluator = evaluator_of(grid)
+    batch, result = batch_of(grid, LEVEL[None])
+    links = np.zeros((1, 1, grid.rows, 3), np.uint64)
+    flag = np.ones((1, 1), bool)
+    sources = SimpleNamespace(row=np.zeros(1, int), placed=batch.placed, changed=flag, same_position=~flag, links=links)
+    sources.clear = np.empty((0, 1, grid.rows), np.uint64)
+    for number in (-(2**63), -1, 1, 2**63 - 1):
+        counter = np.array([number])
+        assert evaluator.evaluate_batch(counter, 5, batch, True, result) == (0, 0, 0)
+        assert counter[0] != number
+        evaluator.recompute_links(np.array([number]), 5, sources)
+    assert result.cost.tolist() == [0.0]
+    assert not links.any()
+
+
 def test_what_refuted_comes_first():
     certificates = np.array([[5, 6, 7], [1, 2, 3]])
     placement.promote_certificates(certificates, np.array([0, 1, 9]), np.array([7, 4, -1]))
@@ -197,13 +215,21 @@ def test_what_does_not_fit_is_refused():
         "out: another dtype": lambda: placement.links(grid, LEVEL, none, np.zeros((grid.rows, 3))),
         "label: of the grid's": lambda: placement.label_components(grid, links_of(grid, LEVEL), np.empty((1, 1, 1), np.int32)),
         "links: for each row": lambda: placement.label_components(grid, links_of(grid, LEVEL)[1:], np.empty((3, 3, 2), np.int32)),
+        "links: not of neighbours": lambda: placement.label_components(grid, np.full((grid.rows, 3), 2**64 - 1, np.uint64), np.empty((3, 3, 2), np.int32)),
         "nine columns": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 8)))),
         "cases: none": lambda: placement.TrialEvaluator(grid, np.empty((0, 1), bool), 4),
+        "certificates: not from 1": lambda: placement.TrialEvaluator(grid, np.ones((1, 1), bool), 2**31),
         "certificates: no columns": lambda: placement.promote_certificates(np.empty((1, 0), np.int64), np.array([0]), np.array([0])),
         "source: not a row": lambda: placement.promote_certificates(np.array([[1]]), np.array([1]), np.array([0])),
     }.items():  # fmt: skip
         with pytest.raises(ValueError, match=what):
             make()
+
+
+def placed_by(boxes):
+    """LEVEL among obstacles that other boxes hold."""
+    obstacles = SimpleNamespace(**vars(FREE) | {"boxes": boxes})
+    return SimpleNamespace(cones=LEVEL[None], limits=np.zeros((1, 0, 9)), obstacles=obstacles)
 
 
 @pytest.mark.parametrize(
@@ -216,6 +242,7 @@ def test_what_does_not_fit_is_refused():
         ("upper_bound: one for each", {"upper_bound": np.zeros(2)}),
         ("moved: a flag", {"moved": np.ones((1, 2), bool)}),
         ("links: of each LiDAR", {"links": np.zeros((1, 1, 2, 3), np.uint64)}),
+        ("placed.obstacles.boxes: neither", {"placed": placed_by(np.zeros((6, 3)))}),
     ],
 )
 def test_batches_that_do_not_fit_are_refused(what, changes):

@@ -112,6 +112,13 @@ def test_a_counter_knows_where_an_object_is_missed():
     assert 0.0 < two.missed(*both, 0, math.inf) <= 1.0
     assert two.missed(both[0][1:], R, T, 0, math.inf) >= two.missed(*both, 0, math.inf)
     assert two.traced > 0
+    known = 4 * (8 + 4 * 4)  # bytes at four places, in four phases
+    assert counter(8).memory_bytes == 256 * known
+    assert two.memory_bytes == 256 * (2 * known - 4 * 4)
+    many = np.tile(PLACES, (2**18, 1))
+    assert counter(8, places=many, ends=(2**20,)).memory_bytes == known * 2**18 * 5  # poses, in 128 MB
+    some = counter(8, [scanner()] * 9, places=many, ends=(2**20,))
+    assert some.memory_bytes == 2 * 9 * known * 2**18
 
 
 def test_threads_share_a_counter():

@@ -182,6 +182,12 @@ def test_wild_times_and_angles():
     assert found.range_m.ravel()[:2] == pytest.approx([8, 8])
 
 
+def test_times_from_the_first_to_the_last_there_is():
+    stage = scene(sphere(), (0.0, 0.0, 0.0))
+    fired = firings([0, 0, 0])._replace(time_ns=np.array([-(2**63), 0, 2**63 - 1]))
+    assert traced(fired, stage=stage).range_m.ravel() == pytest.approx([8, 8, 8])
+
+
 FIRED = firings([90, 0])
 
 

@@ -94,7 +94,7 @@ def test_lines_of_cuboids_beside_plain_loops(seed):
     label = rng.integers(-1, 3, (nx, ny, nz)).astype(np.int32)
     shapes = (ny, nz), (nx, nz), (nx, ny)
     row_of = np.array([1, -1, 0, -1])
-    lines = [np.zeros((2, *shape), np.int32) for shape in shapes]
+    lines = [np.full((2, *shape), 2**31 - 1, np.int32) for shape in shapes]
     visibility.count_lines(label, row_of, *lines)
     for row, subspace in ((1, 0), (0, 2)):
         for axis in range(3):

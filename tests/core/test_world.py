@@ -306,6 +306,67 @@ def test_a_pickle_is_the_same_hierarchy():
     assert len(pickle.loads(pickle.dumps(bvh([])))) == 0
 
 
+def restored(*columns):
+    tree = world.Bvh.__new__(world.Bvh)
+    tree.__setstate__(columns)
+    return tree
+
+
+TREE = bvh(soup(np.random.default_rng(6), 40))
+STATE = TREE.__getstate__()  # nodes, leaves, kinds, numbers, objects
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 2**20), st.integers(0, 255)), max_size=4))
+def test_a_pickle_that_was_changed_is_refused_or_harmless(changes):
+    columns = [bytearray(column) for column in STATE]
+    for column, place, value in changes:
+        columns[column][place % len(columns[column])] = value
+    try:
+        tree = restored(*map(bytes, columns))
+    except ValueError:
+        return
+    first(tree, *rays(np.random.default_rng(7), 100))
+
+
+def test_pickles_of_no_hierarchy_are_refused():
+    nodes, *others = STATE
+    children = np.frombuffer(nodes, np.int32).reshape(-1, 56)[:, 48:]  # after two sides of eight boxes
+    inner = np.argwhere(children > 0)
+    assert len(inner) > 1
+
+    def leading(*pairs):
+        """The nodes, some of whose children are others."""
+        changed = np.frombuffer(nodes, np.int32).reshape(-1, 56).copy()
+        for (node, child), code in pairs:
+            changed[node, 48 + child] = code
+        return changed.tobytes()
+
+    chain = np.tile(np.frombuffer(nodes, np.int32)[:56], (80, 1))
+    chain[:, 48:] = -1
+    chain[:-1, 48] = np.arange(1, 80)
+    one, other = inner[:2]
+    for message, state in {
+        "five columns": STATE[:4],
+        "not bytes": (nodes, None, *others[1:]),
+        "bytes of no column": (nodes[:-1], *others),
+        "kind: one for each": (nodes, others[0], others[1][:-1], *others[2:]),
+        "kind: unknown": (nodes, others[0], others[1][:-1] + b"\4", *others[2:]),
+        "number: one for each": (nodes, *others[:2], others[2][:-4], others[3]),
+        "object: one for each": (nodes, *others[:3], others[3][:-4]),
+        "nodes: none": (b"", *others),
+        "nodes: beyond the leaves": (leading((one, -9 * 2**16)), *others),
+        "nodes: not a tree": (leading((one, 2**30)), *others),
+        "nodes: not after": (leading((one, -1)), *others),
+        "nodes: too many levels": (chain.tobytes(), *others),
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            restored(*state)
+    for codes in (((one, 0),), ((one, children[tuple(other)]),)):
+        with pytest.raises(ValueError, match="nodes: not a tree"):
+            restored(leading(*codes), *others)
+
+
 def test_rays_that_are_not_near_each_other_are_traced_in_pieces():
     """Each hits what it hits alone, also where all rays of a packet face the same way."""
     rng = np.random.default_rng(5)

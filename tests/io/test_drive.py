@@ -15,7 +15,7 @@ from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.geometry import transform
 from lidarcfg.io.messages import ros_store
 from lidarcfg.sensors.rig import load_rig
-from lidarcfg.viewer.stage import load_stage
+from lidarcfg.viewer.contents import load_contents
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import no_warning
 from tests.command_line import lidarcfg
@@ -112,7 +112,7 @@ def test_what_is_made_of_a_cloud_with_objects(folder, world):
     cloud = load_cloud(folder / "w.ply", no_warning)
     assert [cloud.object_names[i] for i in cloud.object.tolist()] == world[0]
     assert "w.las: las has no objects of points" in lidarcfg("convert", "w.npz", "-o", "w.las", cwd=folder).stderr
-    staged = load_stage([folder / "w.npz"], folder / "rig.yaml", None, np.eye(4), no_warning)
+    staged = load_contents([folder / "w.npz"], folder / "rig.yaml", None, np.eye(4), no_warning)
     assert [staged.objects.names[i] for i in staged.objects.index.tolist()] == world[0]
 
 

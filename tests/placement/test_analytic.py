@@ -15,7 +15,6 @@ from scipy import integrate as quadrature
 from scipy import ndimage
 from skimage import measure
 
-from lidarcfg import report
 from lidarcfg.cli.main import cli
 from lidarcfg.core import analytic as core
 from lidarcfg.errors import ConfigError
@@ -25,6 +24,7 @@ from lidarcfg.placement.cones import Lidar, gaps_at, rig_lidars
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
+from lidarcfg.report.tables import analytic_line
 from lidarcfg.sensors.rig import load_rig
 from tests.naive import placement as naive
 
@@ -449,4 +449,4 @@ def test_evaluate_says_what_it_reached(tmp_path):
 def test_evaluate_says_plainly_what_it_did_not_reach():
     found = Analytic(0.5, 0.01, 0.001, [0.5, 0.25, 0.1], 384_000, 0.1)
     assert not found.reached
-    assert "NOT within the tolerance of 0.001, but of 0.02" in report.analytic_line(found)
+    assert "NOT within the tolerance of 0.001, but of 0.02" in analytic_line(found)

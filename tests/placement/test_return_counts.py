@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidarcfg import inputs, report
+from lidarcfg import inputs
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement import checks
 from lidarcfg.placement import return_counts as return_counts_module
@@ -20,7 +20,8 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.return_counts import MissCounter, return_counts
 from lidarcfg.placement.study import load_study
-from lidarcfg.report.words import describe_object
+from lidarcfg.report.describe import describe_object
+from lidarcfg.report.results import evaluation_dict, to_json
 from tests.returns_cases import at_place, box, revolution, simulated, tracer_of
 from tests.studies import study_of
 
@@ -179,7 +180,7 @@ def test_results_and_words(tmp_path):
     loaded = study(tmp_path)
     rig = rig_of(loaded)
     found = evaluate(loaded, rig)
-    written = json.loads(report.to_json(report.evaluation_dict(loaded, rig, found)))
+    written = json.loads(to_json(evaluation_dict(loaded, rig, found)))
     assert written["detection"]["crate"] == found.detection["crate"].rate
     assert written["detection_returns"]["crate"]["mean"] == found.detection["crate"].returns.mean
     assert set(written["detection_returns"]) == {"crate", "child"}

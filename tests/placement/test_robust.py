@@ -11,12 +11,12 @@ import pytest
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.robustness import Robust, mounted
 from lidarcfg.placement.sensitivity import changes_m, robustness
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.subspace import Links
 from lidarcfg.placement.zones import weights
 from lidarcfg.report.robustness import lost_table
+from lidarcfg.requirements.robustness import Robust, mounted
 from tests.naive import placement as naive_placement
 from tests.naive import robust as naive
 from tests.refusals import refused

@@ -15,7 +15,8 @@ from lidarcfg.files import shipped
 from lidarcfg.geometry import leaning, rotation, up
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
-from lidarcfg.viewer.bodies import bases_m, seats_m, violations
+from lidarcfg.viewer.bodies import base_area_m, base_discs_m
+from lidarcfg.viewer.mounting import violations
 from tests.naive import surfaces as naive
 from tests.studies import study_of
 
@@ -330,13 +331,13 @@ def test_what_the_page_shows_of_a_roof(tmp_path):
     """By hand: where bases may be is the roof without a rim, less a cell; a base is a disc; off the roof is told."""
     keys = on("cab", "above", (0, -1, 1.9), (2, 1, 2.1)) + ", count: 2, name: cab, yaw_deg: [0, 90]"
     loaded = study(tmp_path, STEP, keys)
-    cells = seats_m(loaded)
+    cells = base_area_m(loaded)
     area = np.linalg.norm(np.cross(cells[:, 1] - cells[:, 0], cells[:, 3] - cells[:, 0]), axis=1).sum()
     assert 1.85**2 < area <= 1.9**2
     assert cells[..., 2] == pytest.approx(2.002)
     poses = loaded.poses(np.tile([0.2, 0.7, 0.5], (1, 2)))[0]
     rig = loaded.rig(poses)
-    discs = bases_m(loaded, rig)
+    discs = base_discs_m(loaded, rig)
     size = np.linalg.norm(np.cross(discs[:, 1] - discs[:, 0], discs[:, 2] - discs[:, 0]), axis=1).sum() / 2
     assert size == pytest.approx(2 * math.pi * 0.05**2, rel=0.01)
     assert discs[:32].reshape(-1, 3).mean(axis=0) == pytest.approx([0.4, 0.4, 2.004], abs=1e-9)
@@ -352,4 +353,4 @@ def test_what_the_page_shows_of_a_roof(tmp_path):
         STEP,
         "min: {position_m: [1, 0, 2.1], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 0, 2.1], rpy_deg: [0, 0, 0]}",
     )
-    assert len(bases_m(loaded, other.rig(other.lower))) == 0
+    assert len(base_discs_m(loaded, other.rig(other.lower))) == 0

@@ -33,12 +33,12 @@ SIZES = "-1", "1e3", str(2**20 + 1), "9" * 400, "", "x", "+5"
 
 
 def _serve(path, sender):
+    from lidarcfg.viewer.contents import load_contents
     from lidarcfg.viewer.page import page_of
     from lidarcfg.viewer.server import Server
-    from lidarcfg.viewer.stage import load_stage
 
-    stage = load_stage([path], None, None, np.eye(4), lambda warning: None)
-    with Server(stage, page_of(stage)) as server:
+    contents = load_contents([path], None, None, np.eye(4), lambda warning: None)
+    with Server(contents, page_of(contents)) as server:
         sender.send((server.server_address[1], server.token))
         server.serve_forever()
 

@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from lidarcfg.report.baseline import beside, difference
-from lidarcfg.report.html import Table
+from lidarcfg.report.html import Table, difference, with_baseline_rows
 from tests.command_line import lidarcfg
 from tests.report.test_report import read
 
@@ -108,7 +107,7 @@ def test_sensors_of_one_name_belong_together():
     """Whatever their numbers; of the others the first with the first."""
     own = Table("t", ("", "x"), [["1 roof", "4"], ["2 left", "3"], ["3 rear", "2"]], texts=())
     more = Table("t", ("", "x"), [["1 top", "9"], ["2 rear", "8"], ["3 front", "7"], ["4 side", "6"]], texts=())
-    assert beside(own, more).rows == [
+    assert with_baseline_rows(own, more).rows == [
         ["1 roof", "4"], ["baseline: 1 top", "9"], ["difference", "-5"],
         ["2 left", "3"], ["baseline: 3 front", "7"], ["difference", "-4"],
         ["3 rear", "2"], ["baseline: 2 rear", "8"], ["difference", "-6"],
@@ -119,7 +118,7 @@ def test_sensors_of_one_name_belong_together():
 def test_rows_that_only_one_of_them_has():
     own = Table("t", ("", "a", "b"), [["x", "1", "p"]], texts=(2,))
     more = Table("t", ("", "a", "b"), [["y", "3", "q"], ["z", "4", "r"]], texts=(2,))
-    assert beside(own, more).rows == [
+    assert with_baseline_rows(own, more).rows == [
         ["x", "1", "p"], ["baseline: y", "3", "q"], ["difference", "-2", ""], ["baseline: z", "4", "r"],
     ]  # fmt: skip
-    assert beside(own, None) is own
+    assert with_baseline_rows(own, None) is own

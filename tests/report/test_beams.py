@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.report import draw_sensor
+from lidarcfg.report.sensors import draw_sensor
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from tests.command_line import lidarcfg
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import click
 import pytest
 
-from lidarcfg import report
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement.analytic import Analytic
@@ -14,7 +13,9 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.metric import Spheres
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import load_study
-from lidarcfg.report.comparison import rows
+from lidarcfg.report.comparison import comparison, comparison_dict, contenders, rows
+from lidarcfg.report.document import Commands
+from lidarcfg.report.tables import print_comparison
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 from tests.report.test_report import STUDY, read
@@ -50,7 +51,7 @@ def compared(folder, study, *names, tolerance=None):
     named = [
         (name, rig, report_inputs(loaded, rig, evaluate(loaded, rig, tolerance), cheap_cuboids=0)) for name, rig in rigs
     ]
-    return loaded, report.contenders(named)
+    return loaded, contenders(named)
 
 
 def run(folder, *words):
@@ -85,7 +86,7 @@ def test_each_column_is_what_evaluate_says(folder):
 def test_nothing_is_best_among_equals(folder):
     study, rigs = compared(folder, "s.yaml", "few", "few", tolerance=0.2)
     assert not any(mark for row in rows(study, rigs) for mark in row.best)
-    assert report.comparison_dict(study, rigs)["best"] == {}
+    assert comparison_dict(study, rigs)["best"] == {}
 
 
 def test_error_bars_that_reach_the_best_are_marked_as_well(folder):
@@ -100,7 +101,7 @@ def test_error_bars_that_reach_the_best_are_marked_as_well(folder):
                 strict=True,
             )
         ]
-        table = rows(study, report.contenders(named))
+        table = rows(study, contenders(named))
         return next(row.best for row in table if row.what.startswith("analytic"))
 
     assert marked((1.0, 0.1), (1.15, 0.1), (1.3, 0.1)) == [True, True, False]
@@ -137,10 +138,10 @@ def test_the_command_prints_a_table_and_writes_a_page(folder):
 def test_ten_rigs_stand_in_several_tables(folder, capsys):
     study, rigs = compared(folder, "s.yaml", *["few", "many"] * 5)
     assert [rig.letter for rig in rigs] == list("ABCDEFGHIJ")
-    page = read(report.comparison.comparison(study, rigs, report.Commands("typed", "typed")))
+    page = read(comparison(study, rigs, Commands("typed", "typed")))
     assert page.tags.count("caption") == 1 + 3 + 10  # what was compared, four rigs a table, each rig's poses
     assert all(rig.title in page.words for rig in rigs)
-    report.print_comparison(study, rigs)
+    print_comparison(study, rigs)
     printed = capsys.readouterr().out
     assert "…" not in printed
     assert max(map(len, printed.splitlines())) <= 110
@@ -149,7 +150,7 @@ def test_ten_rigs_stand_in_several_tables(folder, capsys):
 
 def test_a_study_without_objects(folder):
     study, rigs = compared(folder, "bare.yaml", "few", "many")
-    page = read(report.comparison.comparison(study, rigs, report.Commands("typed", "typed")))
+    page = read(comparison(study, rigs, Commands("typed", "typed")))
     assert "names no objects" in page.words
     assert not [row.what for row in rows(study, rigs) if row.what.startswith("detection")]
 
@@ -183,4 +184,4 @@ def test_mistakes_are_one_line(folder, words, message, monkeypatch):
 
 def test_too_many_from_python():
     with pytest.raises(ConfigError, match="1 rig to compare; allowed: 2 to 10"):
-        report.contenders([None])
+        contenders([None])

@@ -11,9 +11,8 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.front import front
 from lidarcfg.placement.study import load_study, with_solver
-from lidarcfg.report import load_front_logs, save_front_log
-from lidarcfg.report.front_plot import draw_front
-from lidarcfg.report.words import price
+from lidarcfg.report.describe import price
+from lidarcfg.report.front import draw_front, load_front_logs, save_front_log
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 

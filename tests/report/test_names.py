@@ -7,9 +7,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
-from lidarcfg.report.names import summarize, truncate
 from lidarcfg.report.plots import draw_rig
 from lidarcfg.report.tables import blind_lines
+from lidarcfg.report.text import summarize, truncate
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 

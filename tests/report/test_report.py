@@ -9,16 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidarcfg import report
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import load_study
+from lidarcfg.report.comparison import contenders, save_comparison
+from lidarcfg.report.describe import bounds_table, date, describe_constraints, mounts_table
+from lidarcfg.report.document import Commands
 from lidarcfg.report.drawings import least_detected
-from lidarcfg.report.names import truncate
+from lidarcfg.report.plots import draw_convergence
+from lidarcfg.report.results import save_evaluation, save_placement
 from lidarcfg.report.tables import print_evaluation
-from lidarcfg.report.words import bounds_table, date, describe_constraints, mounts_table
+from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import load_rig
 from tests.chromium import LACKING, asked_for, browser, complaints
 from tests.command_line import lidarcfg
@@ -150,9 +153,9 @@ def runs(study, found, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SOURCE_DATE_EPOCH", "1767225600")
         for folder in folders:
-            commands = report.Commands("lidarcfg <typed>", "lidarcfg again")
+            commands = Commands("lidarcfg <typed>", "lidarcfg again")
             shown = report_inputs(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
-            report.save_placement(study, found, shown, folder, commands)
+            save_placement(study, found, shown, folder, commands)
     return folders
 
 
@@ -203,7 +206,7 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
     study = make(tmp_path, STUDY.replace("sensors:", VEHICLE + "sensors:"))
     rigs = [study.rig(study.poses(np.full((1, int(study.free.sum())), at))[0]) for at in (0.5, 0.0)]
     shown = [report_inputs(study, rig, evaluate(study, rig), cheap_cuboids=100) for rig in rigs]
-    report.save_evaluation(study, rigs[0], shown[0], tmp_path / "o")
+    save_evaluation(study, rigs[0], shown[0], tmp_path / "o")
     page, result = read((tmp_path / "o/report.html").read_text()), json.loads((tmp_path / "o/result.json").read_text())
     assert "the vehicle (cab)" in page.words
     total = sum(result["seen_by_m3"])
@@ -216,8 +219,8 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
         edge = "≥ " if one["reaches_edge"][int(one["largest_at_deg"])] else ""
         assert f"{edge}{one['largest_m']:.2f} at {one['largest_at_deg']:.0f}°" in page.words
         assert f"{one['area_m2']:.2f}" in page.words
-    compared = report.contenders([(f"{n}", rig, one) for n, (rig, one) in enumerate(zip(rigs, shown, strict=True))])
-    report.save_comparison(study, compared, tmp_path / "c", report.Commands("typed", "again"))
+    compared = contenders([(f"{n}", rig, one) for n, (rig, one) in enumerate(zip(rigs, shown, strict=True))])
+    save_comparison(study, compared, tmp_path / "c", Commands("typed", "again"))
     page, values = (
         read((tmp_path / "c/compare.html").read_text()),
         json.loads((tmp_path / "c/compare.json").read_text()),
@@ -233,7 +236,7 @@ def test_an_evaluation_without_objects(tmp_path):
     bare = make(tmp_path, STUDY)
     rig = load_rig(ROOT / "data/rigs/roof.yaml")
     shown = report_inputs(bare, rig, evaluate(bare, rig))
-    report.save_evaluation(bare, rig, shown, tmp_path / "o")
+    save_evaluation(bare, rig, shown, tmp_path / "o")
     page, bar = read((tmp_path / "o/report.html").read_text()), shown.evaluation.analytic
     assert "names no objects" in page.words
     assert "No search was run" in page.words
@@ -247,7 +250,7 @@ def test_no_error_bar_where_it_would_cost_too_much(tmp_path):
     bare = make(tmp_path, STUDY)
     rig = load_rig(ROOT / "data/rigs/roof.yaml")
     shown = report_inputs(bare, rig, evaluate(bare, rig), cheap_cuboids=100)
-    report.save_evaluation(bare, rig, shown, tmp_path / "o")
+    save_evaluation(bare, rig, shown, tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
     assert shown.evaluation.analytic is None
     assert "not computed" in page.words
@@ -265,10 +268,10 @@ def test_a_date_that_is_none(text, monkeypatch):
 def test_rigs_that_break_the_constraints_do_not_flatten_the_rest(study, found):
     """They cost a million; a search that found one in the first swarm is drawn up to four times its best."""
     first = replace(found.history[0], mean=1e6)
-    axes = report.draw_convergence(study, replace(found, history=(first, *found.history[1:]))).axes[0]
+    axes = draw_convergence(study, replace(found, history=(first, *found.history[1:]))).axes[0]
     assert axes.get_ylim() == (0, 4 * found.history[-1].best)
     most = max(found.midpoint_max_vsr_m, *(cycle.mean for cycle in found.history))
-    assert report.draw_convergence(study, found).axes[0].get_ylim() == (0, pytest.approx(1.05 * most))
+    assert draw_convergence(study, found).axes[0].get_ylim() == (0, pytest.approx(1.05 * most))
 
 
 def test_the_command_line_writes_it(tmp_path, monkeypatch):
@@ -342,9 +345,7 @@ def test_mount_surfaces_are_said_and_drawn(tmp_path):
     text = STUDY.replace("sensors:", VEHICLE + "sensors:" + mounts)
     study = make(tmp_path, text)
     rig = study.rig(study.midpoint)
-    report.save_evaluation(
-        study, rig, report_inputs(study, rig, evaluate(study, rig), cheap_cuboids=100), tmp_path / "o"
-    )
+    save_evaluation(study, rig, report_inputs(study, rig, evaluate(study, rig), cheap_cuboids=100), tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
     assert "where sensors may sit on the vehicle, from above, left, right" in [label for _, label in page.labels]
     assert "Green: the middle of a base may be here, to half its radius." in page.words
@@ -368,7 +369,7 @@ def test_of_very_many_objects_those_are_drawn_that_are_detected_least(tmp_path):
     shown = least_detected([found])
     assert len(shown) == 12
     assert max(found.detection[name].rate for name in shown) <= rates[12]
-    report.save_evaluation(study, rig, report_inputs(study, rig, found), tmp_path)
+    save_evaluation(study, rig, report_inputs(study, rig, found), tmp_path)
     text = (tmp_path / "report.html").read_text()
     assert "only the 12 are drawn that are detected least" in text
     assert all(f"box{n:02}" in text for n in range(20))

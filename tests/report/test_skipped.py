@@ -7,13 +7,13 @@ import itertools
 
 import pytest
 
-from lidarcfg import report
 from lidarcfg.placement.detection import mean_of
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.report.describe import describe_skips
 from lidarcfg.report.document import _detection, _skipped
-from lidarcfg.report.words import describe_skips
+from lidarcfg.report.results import placement_dict
 from lidarcfg.sensors.rig import load_rig
 
 STUDY = """
@@ -57,7 +57,7 @@ def test_what_was_skipped(tmp_path, method, objective):
     study = study_of(tmp_path, method, objective)
     found, plain = optimize(study, threads=1), optimize(study, threads=1, skip=False)
     assert found.objective == plain.objective
-    told, none = (report.placement_dict(study, one, one.evaluation)["skipped"] for one in (found, plain))
+    told, none = (placement_dict(study, one, one.evaluation)["skipped"] for one in (found, plain))
     assert none == {"rigs": none["rigs"], "full_evaluations": 0, "cuboids": 0, "segments": none["segments"]}
     trials = plain.evaluations + plain.first_evaluations + plain.scout_evaluations
     lost = 2 if objective == "robust" else 1  # each of two LiDARs
@@ -65,7 +65,7 @@ def test_what_was_skipped(tmp_path, method, objective):
     assert 0 <= told["full_evaluations"] == plain.full_evaluations - found.full_evaluations
     assert 0 <= told["cuboids"] <= plain.cuboids
     assert (plain.cuboids == 0) == (objective == "returns")
-    facts = dict(_skipped(study, report.placement_dict(study, found, found.evaluation), found))
+    facts = dict(_skipped(study, placement_dict(study, found, found.evaluation), found))
     settled = next(value for what, value in facts.items() if "settled" in what)
     assert settled.startswith(f"{told['full_evaluations']:,} of {plain.full_evaluations:,} (")
     assert ("does not need the subspaces" in facts["cuboids that were not evaluated"]) == (objective == "returns")
@@ -84,7 +84,7 @@ def test_a_resumed_search_counts_what_it_evaluated_itself(tmp_path):
     rest = optimize(study, threads=1, log=first.log)
     assert rest.evaluations == whole.evaluations
     assert first.evaluated + rest.evaluated == whole.evaluated
-    facts = dict(_skipped(study, report.placement_dict(study, rest, rest.evaluation), rest))
+    facts = dict(_skipped(study, placement_dict(study, rest, rest.evaluation), rest))
     trials = rest.evaluations + rest.first_evaluations + rest.scout_evaluations
     assert facts["trials evaluated in this run"] == f"{rest.evaluated:,} of {trials:,}"
 

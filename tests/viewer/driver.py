@@ -19,9 +19,9 @@ in_browser = pytest.mark.skipif(bool(LACKING), reason=LACKING)
 
 
 @contextmanager
-def serving(stage, **options):
-    """The address of a stage's page, which is served meanwhile."""
-    with Server(stage, page_of(stage, served=True, **options)) as server:
+def serving(contents, **options):
+    """The address of a page's page, which is served meanwhile."""
+    with Server(contents, page_of(contents, served=True, **options)) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:
@@ -35,7 +35,7 @@ def settled(driver):
     """Wait until the page has drawn everything and has no request open."""
     quiet = (
         "const v = window.lidarcfg; return Boolean(v && v.stage.settledAt === v.stage.frames && !v.stage.waiting "
-        "&& ![v.evaluator, v.rates, v.handles?.seats].some((one) => one?.busy || one?.timer))"
+        "&& ![v.evaluator, v.rates, v.handles?.slider].some((one) => one?.busy || one?.timer))"
     )
     end = time.monotonic() + 60
     while not driver.execute_script(quiet):

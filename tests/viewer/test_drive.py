@@ -10,11 +10,9 @@ import yaml
 from lidarcfg.capture.selection import ALL
 from lidarcfg.cli.options import load_trajectory, nanoseconds
 from lidarcfg.geometry import pose, transform
-from lidarcfg.viewer.manifests import DriveInputs, complete_inputs
+from lidarcfg.viewer.contents import DriveInputs, complete_inputs, load_contents
 from lidarcfg.viewer.page import page_of, save_html
-from lidarcfg.viewer.scenery import mesh_at, parts
-from lidarcfg.viewer.stage import load_stage
-from lidarcfg.viewer.timeline import timeline, tracks
+from lidarcfg.viewer.timeline import mesh_at, parts, timeline, tracks
 from tests.capture_fixtures import no_warning
 from tests.command_line import lidarcfg
 from tests.viewer.driver import click, different, in_browser, on_screen, opened, picture, put, serving, settled
@@ -58,11 +56,11 @@ def here(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def stage(here):
+def contents(here):
     """The capture alone is named; all else is noted beside it."""
     paths, known = complete_inputs([here / "drive.pcap"], DriveInputs(), pytest.fail)
     drive = load_trajectory(known.trajectory, known.at, nanoseconds(known.start))
-    return load_stage(paths, known.rig, None, drive, no_warning, ALL, known.vehicle)
+    return load_contents(paths, known.rig, None, drive, no_warning, ALL, known.vehicle)
 
 
 def arc(seconds):
@@ -82,10 +80,10 @@ def outside(points, center, size):
     return np.linalg.norm(np.maximum(abs(points - center) - np.array(size) / 2, 0), axis=1)
 
 
-def test_all_points_lie_where_they_were_hit(stage):
+def test_all_points_lie_where_they_were_hit(contents):
     """In the world, each on the ground, on the house, or on van and sphere where these were at the point's time."""
-    world = transform(stage.T_world_vehicle, stage.cloud.xyz)
-    seconds = (stage.cloud.time_ns - nanoseconds("2026-05-01T10:00:00")) / 1e9
+    world = transform(contents.T_world_vehicle, contents.cloud.xyz)
+    seconds = (contents.cloud.time_ns - nanoseconds("2026-05-01T10:00:00")) / 1e9
     house, van = SCENE["boxes"]
     moved = np.column_stack([9 * seconds, 0 * seconds, 0 * seconds])
     fallen = np.column_stack([0 * seconds, -4 * seconds, 0 * seconds])
@@ -101,23 +99,23 @@ def test_all_points_lie_where_they_were_hit(stage):
     assert (np.bincount(nearest.argmin(axis=0), minlength=4) > 100).all()
 
 
-def test_far_from_the_origin_nothing_is_lost(here, stage):
+def test_far_from_the_origin_nothing_is_lost(here, contents):
     """At UTM coordinates points and sensors are the same, bit for bit: the page's frame is the vehicle's."""
     paths, known = complete_inputs([here / "drive.pcap"], DriveInputs(at="450000,5400000,20"), pytest.fail)
     drive = load_trajectory(known.trajectory, known.at, nanoseconds(known.start))
-    far = load_stage(paths[:1], known.rig, None, drive, no_warning)
-    assert (far.cloud.xyz == stage.cloud.xyz).all()
-    assert far.T_world_vehicle[:2, 3] - stage.T_world_vehicle[:2, 3] == pytest.approx([449999, 5399998], abs=1e-8)
-    assert tracks(far, timeline(far))[0] == pytest.approx(tracks(stage, timeline(stage))[0], abs=1e-8)
+    far = load_contents(paths[:1], known.rig, None, drive, no_warning)
+    assert (far.cloud.xyz == contents.cloud.xyz).all()
+    assert far.T_world_vehicle[:2, 3] - contents.T_world_vehicle[:2, 3] == pytest.approx([449999, 5399998], abs=1e-8)
+    assert tracks(far, timeline(far))[0] == pytest.approx(tracks(contents, timeline(contents))[0], abs=1e-8)
 
 
-def test_the_frames_have_the_vehicle_and_the_objects_where_they_are(stage):
+def test_the_frames_have_the_vehicle_and_the_objects_where_they_are(contents):
     """At the middle of each frame of 100 ms: on the arc, and where constant velocities lead."""
-    line = timeline(stage)
+    line = timeline(contents)
     start_ns = nanoseconds("2026-05-01T10:00:00")
     assert line.frames.tolist() == [0, 1, 2, 3]
-    first = (stage.first_ns - start_ns) / 1e9
-    found = tracks(stage, line)
+    first = (contents.first_ns - start_ns) / 1e9
+    found = tracks(contents, line)
     assert found.shape == (3, 4, 7)
     to_page = np.linalg.inv(on_arc(first))
     for k in range(4):
@@ -131,9 +129,9 @@ def test_the_frames_have_the_vehicle_and_the_objects_where_they_are(stage):
             assert found[track, k, :3] == pytest.approx(there[:3], abs=2e-5)
 
 
-def test_parts_of_a_scene_make_the_whole(stage):
+def test_parts_of_a_scene_make_the_whole(contents):
     """At time 0 they are the scene's own mesh; later each is moved as one."""
-    (scene,) = stage.scenes
+    (scene,) = contents.scenes
     assert [bool(part.path) for part in parts(scene)] == [False, True, True]
     now, later = mesh_at(scene, 0)[0], mesh_at(scene, 500_000_000)[0]
     whole = scene.mesh()[0]
@@ -143,16 +141,16 @@ def test_parts_of_a_scene_make_the_whole(stage):
 
 
 @in_browser
-def test_the_page_shows_one_time(chromium, stage, tmp_path):
+def test_the_page_shows_one_time(chromium, contents, tmp_path):
     """The vehicle's sensor is on the arc in each frame; the camera follows; scans accumulate; the whole is deskewed."""
     mount = np.array([0.5, 0, 2])
-    first = (stage.first_ns - nanoseconds("2026-05-01T10:00:00")) / 1e9
+    first = (contents.first_ns - nanoseconds("2026-05-01T10:00:00")) / 1e9
     to_page = np.linalg.inv(on_arc(first))
     there = "const m = lidarcfg.stage.vehicle.children.find((o) => o.children.length === 3); return m.getWorldPosition(m.position.clone()).toArray()"
     shown = "const { time } = lidarcfg.cloud.arrays; const { first, last } = lidarcfg.cloud; return time.filter((t) => t >= first && t <= last).length"
-    with serving(stage) as url:
+    with serving(contents) as url:
         opened(chromium, url)
-        assert chromium.execute_script(shown) == len(stage.cloud.xyz)
+        assert chromium.execute_script(shown) == len(contents.cloud.xyz)
         assert "whole recording, deskewed" in chromium.find_element("id", "panel").text
         pictures = []
         for k in range(4):
@@ -169,12 +167,12 @@ def test_the_page_shows_one_time(chromium, stage, tmp_path):
         assert on_screen(chromium, at[:3]) == pytest.approx(before, abs=1)
         put(chromium, "#time", 2)
         put(chromium, "#joined", 2, "change")
-        us = (stage.cloud.time_ns - stage.cloud.time_ns.min()) // 1000
+        us = (contents.cloud.time_ns - contents.cloud.time_ns.min()) // 1000
         assert chromium.execute_script(shown) == ((us >= 100_000) & (us < 300_000)).sum()
         chromium.find_element("tag name", "body").send_keys("w")
         settled(chromium)
-        assert chromium.execute_script(shown) == len(stage.cloud.xyz)
-    save_html(page_of(stage), tmp_path / "p.html")  # and so does a file of its own
+        assert chromium.execute_script(shown) == len(contents.cloud.xyz)
+    save_html(page_of(contents), tmp_path / "p.html")  # and so does a file of its own
     opened(chromium, (tmp_path / "p.html").as_uri())
     put(chromium, "#time", 3)
     settled(chromium)
@@ -184,24 +182,24 @@ def test_the_page_shows_one_time(chromium, stage, tmp_path):
 def test_a_drive_without_a_capture(here):
     """Rig, scene and trajectory alone have a timeline, too: of ten seconds, or of the timed poses."""
     drive = load_trajectory(here / "arc.yaml", "0,0,0", nanoseconds("2026-01-01"))
-    staged = load_stage([here / "top.yaml", here / "yard.yaml"], None, None, drive, no_warning)
+    staged = load_contents([here / "top.yaml", here / "yard.yaml"], None, None, drive, no_warning)
     line = timeline(staged)
     assert (len(line.frames), line.frame) == (100, 100_000)
     assert tracks(staged, line)[0, 50, :2] == pytest.approx(arc(5.05)[:2], abs=1e-6)
     (here / "p.tum").write_text("2 0 0 0 0 0 0 1\n2.45 4.5 0 0 0 0 0 1\n")
-    staged = load_stage([here / "top.yaml"], None, None, load_trajectory(here / "p.tum", "0,0,0", 0), no_warning)
+    staged = load_contents([here / "top.yaml"], None, None, load_trajectory(here / "p.tum", "0,0,0", 0), no_warning)
     line = timeline(staged)
     assert tracks(staged, line)[0, :, 0] == pytest.approx([0.5, 1.5, 2.5, 3.5, 4.5], abs=1e-6)
     (here / "p.tum").write_text("0 0 0 0 0 0 0 1\n1e9 4.5 0 0 0 0 0 1\n")
-    staged = load_stage([here / "top.yaml"], None, None, load_trajectory(here / "p.tum", "0,0,0", 0), no_warning)
+    staged = load_contents([here / "top.yaml"], None, None, load_trajectory(here / "p.tum", "0,0,0", 0), no_warning)
     assert len(timeline(staged).frames) == 36_000
     assert tracks(staged, timeline(staged))[0, -1, 0] == pytest.approx(4.5 * (1 - 0.5 / 36_000))
-    assert timeline(load_stage([here / "top.yaml"], None, None, np.eye(4), no_warning)) is None
+    assert timeline(load_contents([here / "top.yaml"], None, None, np.eye(4), no_warning)) is None
 
 
 def test_a_start_of_nothing(here):
     told = lidarcfg("view", "top.yaml", "--start", "2026-01-01", "--html", "no.html", code=2, cwd=here).stderr
-    assert "--start says when a --trajectory starts, and the objects of a scene; there is neither" in told
+    assert "--start is the time at which a --trajectory or a scene's motion starts; there is neither" in told
 
 
 def test_what_is_noted_may_be_said_otherwise(here):

@@ -22,10 +22,10 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.viewer.camera import Camera
-from lidarcfg.viewer.evaluation import moved
+from lidarcfg.viewer.contents import Contents, load_contents
+from lidarcfg.viewer.evaluation import with_poses
 from lidarcfg.viewer.page import ASSETS, MODULES, page_of, save_html
 from lidarcfg.viewer.server import Server
-from lidarcfg.viewer.stage import Stage, load_stage
 from tests.chromium import asked_for, browser, complaints
 from tests.command_line import started
 from tests.viewer.driver import (
@@ -50,7 +50,7 @@ THREE = "5435a9cdb8214b51fd9d402f7f227ba5f712559b8a4347275e4fa18503f0f10c"  # of
 
 
 @pytest.fixture(scope="module")
-def stage():
+def contents():
     """A rig, its study, and 30,000 points on a wall and the ground, in three frames, seen by both sensors."""
     rng = np.random.default_rng(1)
     count = 30_000
@@ -66,13 +66,13 @@ def stage():
         sensor_names=("left", "right"),
         return_type=np.zeros(count, np.uint8),
     )
-    return Stage(cloud, None, (load_rig(ROOF),), load_study(STUDY), (), np.eye(4))
+    return Contents(cloud, None, (load_rig(ROOF),), load_study(STUDY), (), np.eye(4))
 
 
 @pytest.fixture(scope="module")
-def served(stage):
-    """The address of the stage's page."""
-    with serving(stage) as url:
+def served(contents):
+    """The address of the page."""
+    with serving(contents) as url:
         yield url
 
 
@@ -88,8 +88,8 @@ def test_the_served_page_asks_its_own_server_alone(chromium, served):
 
 
 @in_browser
-def test_a_standalone_file_asks_nothing_and_shows_the_same(chromium, served, stage, tmp_path):
-    save_html(page_of(stage), tmp_path / "p.html")
+def test_a_standalone_file_asks_nothing_and_shows_the_same(chromium, served, contents, tmp_path):
+    save_html(page_of(contents), tmp_path / "p.html")
     url = (tmp_path / "p.html").as_uri()
     opened(chromium, url)
     assert asked_for(chromium) == [url]
@@ -122,7 +122,7 @@ def scattered():
     )
     objects = Objects(("car", "wall", "sign", "other"), rng.integers(0, 4, count).astype(np.uint16))
     camera = Camera(np.array([4.5e5 - 60, 5.4e6 + 10, 320.0]), np.array([4.5e5, 5.4e6, 300.0]))
-    return page_of(Stage(cloud, objects, (), None, (), np.eye(4)), camera=camera)
+    return page_of(Contents(cloud, objects, (), None, (), np.eye(4)), camera=camera)
 
 
 @in_browser
@@ -245,14 +245,14 @@ def test_controls_change_the_picture(chromium, served):
 
 
 @in_browser
-def test_the_slider_shows_a_frame_and_play_goes_on(chromium, served, stage):
+def test_the_slider_shows_a_frame_and_play_goes_on(chromium, served, contents):
     opened(chromium, served)
     whole = picture(chromium)
     put(chromium, "#time", 1)
     second = picture(chromium)
     assert different(second, whole) > 1000
     first, last = chromium.execute_script("return [lidarcfg.cloud.first, lidarcfg.cloud.last]")
-    since_us = (stage.cloud.time_ns - stage.cloud.time_ns.min()) // 1000
+    since_us = (contents.cloud.time_ns - contents.cloud.time_ns.min()) // 1000
     assert (first, last) == (100_000, 199_999)
     code = "const c = lidarcfg.cloud; return c.arrays.time.filter((t) => t >= c.first && t <= c.last).length"
     assert chromium.execute_script(code) == ((since_us >= first) & (since_us <= last)).sum()
@@ -267,19 +267,19 @@ def test_the_slider_shows_a_frame_and_play_goes_on(chromium, served, stage):
 
 
 @in_browser
-def test_a_handle_moves_the_rig_and_max_vsr_follows(chromium, served, stage):
+def test_a_handle_moves_the_rig_and_max_vsr_follows(chromium, served, contents):
     opened(chromium, served)
-    started = evaluate(stage.study, stage.rigs[0]).max_vsr_m
+    started = evaluate(contents.study, contents.rigs[0]).max_vsr_m
     assert shown_vsr(chromium) == started
     before = picture(chromium)
     put(chromium, "#mount", 0, "change")
-    at = np.array(stage.rigs[0].mounts[0].position_m)
+    at = np.array(contents.rigs[0].mounts[0].position_m)
     drag(chromium, at, 2, 0.6)
     poses = np.array(chromium.execute_script("return lidarcfg.handles.poses"))
     assert poses[0, 2] > at[2] + 0.1
-    rig = moved(stage.rigs[0], poses)
-    assert rig.mounts[0].rpy_rad == stage.rigs[0].mounts[0].rpy_rad
-    found = evaluate(stage.study, rig)
+    rig = with_poses(contents.rigs[0], poses)
+    assert rig.mounts[0].rpy_rad == contents.rigs[0].mounts[0].rpy_rad
+    found = evaluate(contents.study, rig)
     assert shown_vsr(chromium) == found.max_vsr_m != started
     shown = chromium.find_element("id", "vsr").text
     assert shown == f"max VSR {found.max_vsr_m:.6f} m"
@@ -294,17 +294,17 @@ def test_a_handle_moves_the_rig_and_max_vsr_follows(chromium, served, stage):
 
 
 @in_browser
-def test_poses_can_be_typed_and_the_rig_saved(chromium, served, stage):
+def test_poses_can_be_typed_and_the_rig_saved(chromium, served, contents):
     opened(chromium, served)
     put(chromium, "#mount", 1, "change")
     put(chromium, "#pose-y", -0.8)
     put(chromium, "#pose-roll", 20)
-    x, _, z = stage.rigs[0].mounts[1].position_m
-    _, pitch, yaw = stage.rigs[0].mounts[1].rpy_rad
-    poses = np.array([(*m.position_m, *m.rpy_rad) for m in stage.rigs[0].mounts])
+    x, _, z = contents.rigs[0].mounts[1].position_m
+    _, pitch, yaw = contents.rigs[0].mounts[1].rpy_rad
+    poses = np.array([(*m.position_m, *m.rpy_rad) for m in contents.rigs[0].mounts])
     poses[1] = (x, -0.8, z, 20 * np.pi / 180, pitch, yaw)
-    rig = moved(stage.rigs[0], poses)
-    assert shown_vsr(chromium) == evaluate(stage.study, rig).max_vsr_m
+    rig = with_poses(contents.rigs[0], poses)
+    assert shown_vsr(chromium) == evaluate(contents.study, rig).max_vsr_m
     click(chromium, "#download")
     path, end = chromium.downloads / "rig.yaml", time.monotonic() + 30
     while not path.exists():
@@ -314,7 +314,7 @@ def test_poses_can_be_typed_and_the_rig_saved(chromium, served, stage):
 
 
 @in_browser
-def test_rotating_by_a_handle_keeps_equivalent_angles(chromium, served, stage):
+def test_rotating_by_a_handle_keeps_equivalent_angles(chromium, served, contents):
     """The page's angles make the same matrix as geometry.py's, also where two sets of angles are the same orientation."""
     opened(chromium, served)
     code = (
@@ -325,13 +325,13 @@ def test_rotating_by_a_handle_keeps_equivalent_angles(chromium, served, stage):
     for rpy in ((0.3, -0.4, 2.0), (3.0, 2.5, 0.0), (-4.0, 0.2, 7.0)):
         pose = [1.0, 2.0, 3.0, *rpy]
         elements, after = chromium.execute_script(code, pose)
-        (mount, *_) = moved(stage.rigs[0], np.array([pose, pose])).mounts
+        (mount, *_) = with_poses(contents.rigs[0], np.array([pose, pose])).mounts
         assert np.array(elements).reshape(4, 4).T == pytest.approx(mount.T_vehicle_sensor, abs=1e-12)
         assert after == pytest.approx(pose, abs=1e-9)
 
 
 @in_browser
-def test_measuring_between_two_points(chromium, served, stage):
+def test_measuring_between_two_points(chromium, served, contents):
     from selenium.webdriver import ActionChains
 
     opened(chromium, served)
@@ -346,7 +346,7 @@ def test_measuring_between_two_points(chromium, served, stage):
         ).click().perform()
     ends = np.array(chromium.execute_script("return lidarcfg.measure.ends.map((end) => end.toArray())"))
     for end, place in zip(ends, ((-6.0, 8.0, 1.0), (4.0, 8.0, 2.0)), strict=True):
-        assert np.linalg.norm(stage.cloud.xyz - end, axis=1).min() < 1e-5
+        assert np.linalg.norm(contents.cloud.xyz - end, axis=1).min() < 1e-5
         assert np.abs(np.subtract(on_screen(chromium, end.tolist()), on_screen(chromium, place))).max() <= 3  # pixels
     told = chromium.find_element("id", "status").text
     dx, dy, dz = ends[1] - ends[0]
@@ -360,7 +360,7 @@ def test_a_cloud_far_away_is_not_blurred(chromium, tmp_path):
     xyz = np.array([4.5e5, 5.4e6, 300.0]) + rng.uniform(-5, 5, (200, 3))
     zeros = np.zeros(200, np.uint8)
     cloud = PointCloud(xyz, zeros, zeros, np.zeros(200, np.int64), zeros.astype(np.uint16), ("a",), zeros)
-    save_html(page_of(Stage(cloud, None, (), None, (), np.eye(4))), tmp_path / "far.html")
+    save_html(page_of(Contents(cloud, None, (), None, (), np.eye(4))), tmp_path / "far.html")
     opened(chromium, (tmp_path / "far.html").as_uri())
     assert (abs(picture(chromium) - NIGHT).max(axis=-1) > 24).sum() > 200
     assert complaints(chromium) == []
@@ -375,10 +375,10 @@ def test_a_cloud_far_away_is_not_blurred(chromium, tmp_path):
     assert np.linalg.norm(np.array(on_screen(chromium, places[found])) - (x, y)) < 8
 
 
-def test_the_server_answers_what_evaluate_does(served, stage):
-    poses = np.array([(*m.position_m, *m.rpy_rad) for m in stage.rigs[0].mounts]) + 0.01
+def test_the_server_answers_what_evaluate_does(served, contents):
+    poses = np.array([(*m.position_m, *m.rpy_rad) for m in contents.rigs[0].mounts]) + 0.01
     status, text = asked(served, "POST", "/evaluate", json.dumps({"poses": poses.tolist(), "worst": 2}))
-    found, said = evaluate(stage.study, moved(stage.rigs[0], poses)), json.loads(text)
+    found, said = evaluate(contents.study, with_poses(contents.rigs[0], poses)), json.loads(text)
     assert (status, said["max_vsr_m"], said["subspaces"]) == (200, found.max_vsr_m, len(found.subspaces))
     assert [body["vsr_m"] for body in said["worst"]] == [worst.vsr_m for worst in found.worst[:2]]
     mesh = said["worst"][0]["mesh"]
@@ -412,36 +412,36 @@ def test_the_server_refuses(served, method, path, body, headers, status, what):
     assert text.count(b"\n") == 1
 
 
-def test_violations_of_a_moved_rig(served, stage):
+def test_violations_of_a_moved_rig(served, contents):
     assert (
         json.loads(asked(served, "GET", "/about.json")[1])["evaluation"]["violations"] == []
     )  # another rig than the study's
-    study = stage.study
+    study = contents.study
     rig = study.rig(study.poses(np.full((1, int(study.free.sum())), 0.5))[0])
-    from lidarcfg.viewer.bodies import violations
+    from lidarcfg.viewer.mounting import violations
 
     assert violations(study, rig) == []
     poses = np.array([(*m.position_m, *m.rpy_rad) for m in rig.mounts])
     poses[0, 2], poses[2, 3] = 2.5, np.radians(-30)
     poses[1, 3:] += (np.pi, np.pi - 2 * poses[1, 4], np.pi)  # the same angles, said the other way
-    assert violations(study, moved(rig, poses)) == [
+    assert violations(study, with_poses(rig, poses)) == [
         "roof_0: z 2.500 m is outside 1.65 to 1.9 m",
         "front_bumper: roll -30.00° is outside -10 to 10°",
     ]
 
 
 @in_browser
-def test_fewer_points_while_moving_are_a_fair_sample(chromium, served, stage):
+def test_fewer_points_while_moving_are_a_fair_sample(chromium, served, contents):
     """A tenth of them: of each sensor, each half of the time and each half of the place a tenth, within six sigma."""
     opened(chromium, served)
-    count = len(stage.cloud.xyz)
+    count = len(contents.cloud.xyz)
     code = (
         "return lidarcfg.cloud.ranges(arguments[0]).flatMap(([a, b]) => Array.from({ length: b - a }, (_, i) => a + i))"
     )
     drawn = np.array(chromium.execute_script(code, count // 10))
     assert len(set(drawn.tolist())) == len(drawn)
     assert count / 10 <= len(drawn) <= count / 10 + 256
-    arrays = page_of(stage).arrays
+    arrays = page_of(contents).arrays
     for part in (arrays["fact"][:, 2] == 1, arrays["time"] < 150_000, arrays["position"][:, 0] < 0):
         expected = len(drawn) * part.mean()
         assert abs(part[drawn].sum() - expected) < 6 * np.sqrt(expected)
@@ -472,15 +472,15 @@ def test_the_keyboard(chromium, served):
     assert not chromium.execute_script("return lidarcfg.measure.on")
 
 
-def test_nothing_is_lost_in_a_standalone_file(stage, tmp_path):
+def test_nothing_is_lost_in_a_standalone_file(contents, tmp_path):
     """Its arrays, taken out of the HTML again, hold each point with its facts once."""
-    save_html(page_of(stage), tmp_path / "p.html")
+    save_html(page_of(contents), tmp_path / "p.html")
     pieces = re.findall(
         r'<script data-array="(\w+)" type="text/plain">([^<]*)</script>', (tmp_path / "p.html").read_text()
     )
     raw = {name: b"".join(base64.b64decode(text) for key, text in pieces if key == name) for name, _ in pieces}
-    about = page_of(stage).about["points"]
-    seen = stage.cloud
+    about = page_of(contents).about["points"]
+    seen = contents.cloud
     found = np.column_stack(
         [
             np.frombuffer(raw["position"], "<f4").reshape(-1, 3) + np.array(about["origin_m"]),
@@ -506,10 +506,10 @@ def test_the_command_serves_until_ctrl_c():
         assert running.stderr.read().strip() == "interrupted"
 
 
-def test_a_port_that_is_taken(served, stage):
+def test_a_port_that_is_taken(served, contents):
     port = int(served.rstrip("/").rpartition(":")[2])
     with pytest.raises(ConfigError, match=f"port {port}: address already in use"):
-        Server(stage, page_of(stage), port)
+        Server(contents, page_of(contents), port)
 
 
 def test_what_is_vendored_is_what_was_made():
@@ -520,11 +520,11 @@ def test_what_is_vendored_is_what_was_made():
     assert sorted(MODULES.values()) == sorted(str(path.relative_to(ASSETS)) for path in ASSETS.rglob("*.js"))
 
 
-def test_no_text_of_the_users_ends_a_script(tmp_path, stage):
+def test_no_text_of_the_users_ends_a_script(tmp_path, contents):
     from dataclasses import replace
 
     name = "</script><script>document.title = 'hit'</script>"
-    hostile = replace(stage, cloud=replace(stage.cloud, sensor_names=(name, "b")), rigs=(), study=None)
+    hostile = replace(contents, cloud=replace(contents.cloud, sensor_names=(name, "b")), rigs=(), study=None)
     save_html(page_of(hostile), tmp_path / "p.html")
     text = (tmp_path / "p.html").read_text()
     assert name not in text
@@ -544,14 +544,14 @@ sensors:
 
 @pytest.fixture
 def cab(tmp_path):
-    """A stage with a rig on a vehicle."""
+    """A rig on a vehicle."""
     (tmp_path / "cab.yaml").write_text(CAB)
-    return load_stage([tmp_path / "cab.yaml"], None, None, np.eye(4), print)
+    return load_contents([tmp_path / "cab.yaml"], None, None, np.eye(4), print)
 
 
 @in_browser
 def test_a_body_may_be_switched_transparent(chromium, cab, tmp_path):
-    """Max VSR with and without what hides, and the blind volume, are evaluate's; where bases may be; served, and in a file."""
+    """Max VSR with and without what has_obstacles, and the blind volume, are evaluate's; where bases may be; served, and in a file."""
     study, rig = cab.study, cab.rigs[0]
     with_body, without = evaluate(study, rig), evaluate(replace(study, visibility=None), rig)
     assert with_body.max_vsr_m != without.max_vsr_m

@@ -12,11 +12,11 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.viewer.bodies import score
-from lidarcfg.viewer.evaluation import moved
+from lidarcfg.viewer.contents import load_contents
+from lidarcfg.viewer.evaluation import with_poses
 from lidarcfg.viewer.page import page_of
 from lidarcfg.viewer.rig_source import RigSource
 from lidarcfg.viewer.server import Server
-from lidarcfg.viewer.stage import load_stage
 from tests.capture_fixtures import no_warning
 from tests.viewer.driver import (
     asked,
@@ -69,7 +69,7 @@ OTHERS = {
 
 def source(path, text):
     path.write_bytes(text.encode())
-    return RigSource.of(path), load_rig(path)
+    return RigSource.read(path), load_rig(path)
 
 
 def test_only_numbers_change(tmp_path):
@@ -77,7 +77,7 @@ def test_only_numbers_change(tmp_path):
     found, rig = source(tmp_path / "rig.yaml", RIG)
     poses = poses_of(rig)
     poses[0, 1], poses[0, 3], poses[1, 2] = 1.4321, np.radians(12.5), 1 / 3
-    after = found.saved(poses)
+    after = found.save(poses)
     assert (poses_of(load_rig(after.path)) == poses).all()
     lines = [line for line in difflib.ndiff(RIG.splitlines(), after.path.read_text().splitlines()) if line[0] in "+-"]
     assert [line for line in lines if line[0] == "+"] == [
@@ -86,11 +86,11 @@ def test_only_numbers_change(tmp_path):
         "+   - {name: side_1, model: vlp-16, rpy_deg: [-10, 0, -45], position_m: [1.5, -1.2, 0.3333333333333333], rpm: 600}",
     ]
     assert len(lines) == 6
-    assert (poses_of(load_rig(after.saved(poses_of(rig)).path)) == poses_of(rig)).all()  # and back again
+    assert (poses_of(load_rig(after.save(poses_of(rig)).path)) == poses_of(rig)).all()  # and back again
     rng = np.random.default_rng(1)
     for _ in range(20):  # any angle has degrees that are read as it
         poses[:, 3:] = rng.uniform(-7, 7, (2, 3))
-        after = RigSource.of(found.path).saved(poses)
+        after = RigSource.read(found.path).save(poses)
         assert poses_of(load_rig(after.path)) == pytest.approx(poses, abs=1e-14)
 
 
@@ -98,7 +98,7 @@ def test_only_numbers_change(tmp_path):
 def test_any_layout(tmp_path, text):
     found, _ = source(tmp_path / "rig.yaml", text)
     poses = np.array([[1, -2.5, 3, 0.1, 0.2, -0.3]])
-    found.saved(poses)
+    found.save(poses)
     assert poses_of(load_rig(found.path)) == pytest.approx(poses, abs=1e-15)
     raw = found.path.read_bytes()
     assert raw.startswith(b"\xef\xbb\xbf") == text.startswith("\ufeff")
@@ -112,7 +112,7 @@ def test_examples_that_are_installed_are_not_written(tmp_path, monkeypatch):
     with pytest.raises(
         ConfigError, match=r"rig.yaml: comes with lidarcfg and is not changed; download the rig instead"
     ):
-        found.saved(poses_of(rig) + 0.01)
+        found.save(poses_of(rig) + 0.01)
     assert found.path.read_text() == RIG
 
 
@@ -124,30 +124,30 @@ def test_files_that_are_not_written(tmp_path):
     with pytest.raises(
         ConfigError, match=r"rig.yaml: has changed on disk since it was opened; nothing is written; down"
     ):
-        found.saved(poses)
+        found.save(poses)
     assert found.path.read_text() == RIG + "# mine\n"
     found.path.unlink()
     with pytest.raises(ConfigError, match="has changed on disk"):
-        found.saved(poses)
+        found.save(poses)
     found, _ = source(tmp_path / "ro.yaml", RIG)
     found.path.chmod(0o444)
     with pytest.raises(PermissionError, match="is read-only; to have it replaced"):
-        found.saved(poses)
+        found.save(poses)
     assert found.path.read_text() == RIG
     anchored = RIG.replace("[1.5, 1.4, 1.2]", "&p [1.5, 1.4, 1.2]").replace("[1.5, -1.2, 1.2]", "*p")
     found, _ = source(tmp_path / "a.yaml", anchored)
     with pytest.raises(ConfigError, match=r"a.yaml:6: an anchor, which other keys refer to, is not changed; download"):
-        found.saved(poses)
+        found.save(poses)
     assert found.path.read_text() == anchored
     assert len(list(tmp_path.iterdir())) == 2  # and no leftovers
 
 
 @pytest.fixture
 def sides(tmp_path):
-    """A stage with a study of a mirrored pair, and a rig of its own file."""
+    """A study of a mirrored pair, and a rig of its own file."""
     (tmp_path / "sides.yaml").write_text(STUDY)
     (tmp_path / "rig.yaml").write_text(RIG)
-    return load_stage([tmp_path / "sides.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning)
+    return load_contents([tmp_path / "sides.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning)
 
 
 def test_what_is_no_file_any_more_is_not_written(tmp_path):
@@ -156,12 +156,12 @@ def test_what_is_no_file_any_more_is_not_written(tmp_path):
     found.path.unlink()
     found.path.symlink_to("rig.yaml")
     with pytest.raises(ConfigError, match="has changed on disk"):
-        found.saved(poses_of(rig))
+        found.save(poses_of(rig))
     found.path.unlink()
     with open(found.path, "wb") as file:
         file.truncate(10**10)
     with pytest.raises(ConfigError, match="has changed on disk"):
-        found.saved(poses_of(rig))
+        found.save(poses_of(rig))
     assert found.path.stat().st_size == 10**10
 
 
@@ -208,7 +208,7 @@ def test_who_may_save(sides):
         assert asked(url, "POST", "/save", body, **{"X-Lidarcfg-Token": token})[0] == 200
         assert asked(url, "POST", "/save", body, **{"X-Lidarcfg-Token": token})[0] == 200  # it knows what it wrote
     with Server(
-        load_stage([ROOT / "data/studies/sedan.yaml"], None, None, np.eye(4), no_warning), page_of(sides)
+        load_contents([ROOT / "data/studies/sedan.yaml"], None, None, np.eye(4), no_warning), page_of(sides)
     ) as one:
         assert one.source is None  # the rig of a study has no file
 
@@ -223,7 +223,7 @@ def test_a_moved_pair_is_undone_and_saved(chromium, sides):
 
     def agrees(study=sides.study):
         settled(chromium)
-        now = moved(sides.rigs[0], np.array(chromium.execute_script(poses)))
+        now = with_poses(sides.rigs[0], np.array(chromium.execute_script(poses)))
         found = evaluate(study, now)
         child, post = found.detection["child"], found.detection["post"]
         assert shown_vsr(chromium) == found.max_vsr_m
@@ -313,10 +313,10 @@ def seen(driver, places):
 @pytest.mark.parametrize("name", ["sedan", "truck"])
 def test_the_opening_view_shows_vehicle_and_worst_subspaces_whole(chromium, name):
     """All of their vertices are in the picture, from each side, and reach near to an edge."""
-    stage = load_stage([ROOT / f"data/studies/{name}.yaml"], None, None, np.eye(4), no_warning)
-    places = [stage.study.vehicle.scene.mesh()[0]]
-    places += [body.faces_m.reshape(-1, 3) for body in score(stage.study, stage.rigs[0], 3).worst]
-    with serving(stage) as url:
+    contents = load_contents([ROOT / f"data/studies/{name}.yaml"], None, None, np.eye(4), no_warning)
+    places = [contents.study.vehicle.scene.mesh()[0]]
+    places += [body.faces_m.reshape(-1, 3) for body in score(contents.study, contents.rigs[0], 3).worst]
+    with serving(contents) as url:
         opened(chromium, url)
         for look in ("", "#look-top", "#look-front", "#look-side"):
             if look:
@@ -342,12 +342,14 @@ return [stage.camera.position, ...eyes].map((eye) => eye.toArray());
 def test_the_opening_view_is_from_where_the_vehicle_is_nearest(chromium, tmp_path, lean_deg):
     """Nearer than from the corners around; the worst subspace is ahead of sensors that lean ahead, behind those that lean back."""
     (tmp_path / "rig.yaml").write_text(LEANING.format(lean_deg))
-    stage = load_stage([ROOT / "data/studies/sedan.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning)
-    worst = [body.faces_m.reshape(-1, 3) for body in score(stage.study, stage.rigs[0], 1).worst]
-    places = np.concatenate([stage.study.vehicle.scene.mesh()[0], *worst])
+    contents = load_contents(
+        [ROOT / "data/studies/sedan.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning
+    )
+    worst = [body.faces_m.reshape(-1, 3) for body in score(contents.study, contents.rigs[0], 1).worst]
+    places = np.concatenate([contents.study.vehicle.scene.mesh()[0], *worst])
     assert worst[0][:, 0].mean() * lean_deg > 0
     aways = [[np.cos(at), np.sin(at), 0.57] for at in np.radians([45, 135, 225, 315])]
-    with serving(stage, worst=1) as url:
+    with serving(contents, worst=1) as url:
         opened(chromium, url)
         eyes = np.array(chromium.execute_script(NEAREST, places.tolist(), np.array(aways).tolist()))
         far = np.linalg.norm(eyes, axis=1)

@@ -29,9 +29,8 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.sensors.rig import Rig, load_rig, rig_text
 from lidarcfg.viewer.bodies import faces, score
 from lidarcfg.viewer.camera import Camera
-from lidarcfg.viewer.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, rgb, scaled
-from lidarcfg.viewer.shades import point_colours
-from lidarcfg.viewer.stage import Stage, kind_of, load_stage
+from lidarcfg.viewer.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, point_colours, rgb, scaled
+from lidarcfg.viewer.contents import Contents, kind_of, load_contents
 from lidarcfg.viewer.still import save_still
 from lidarcfg.viewer.window import parts
 from lidarcfg.world.motion import Trajectory
@@ -49,9 +48,9 @@ def cloud(xyz, names=("a", "b")):
     return PointCloud(xyz, zeros + 50, zeros, np.zeros(len(xyz), np.int64), sensor, names, zeros)
 
 
-def stage(points=(), **parts):
+def contents(points=(), **parts):
     empty = {"objects": None, "rigs": (), "study": None, "scenes": (), "T_world_vehicle": np.eye(4)}
-    return Stage(cloud(points), **(empty | parts))
+    return Contents(cloud(points), **(empty | parts))
 
 
 def drawn(path):
@@ -68,7 +67,7 @@ def test_a_pinhole_by_hand():
 
 def test_both_sensors_colours_are_in_the_picture(tmp_path):
     rng = np.random.default_rng(1)
-    save_still(stage(rng.uniform((-20, -10, 0), (20, 10, 3), (20_000, 3))), tmp_path / "p.png")
+    save_still(contents(rng.uniform((-20, -10, 0), (20, 10, 3), (20_000, 3))), tmp_path / "p.png")
     image = drawn(tmp_path / "p.png")
     assert image.shape == (1080, 1920, 3)
     blue, orange = ((image[..., 2] > image[..., 0] + 60).sum(), (image[..., 0] > image[..., 2] + 60).sum())
@@ -80,14 +79,14 @@ def test_both_sensors_colours_are_in_the_picture(tmp_path):
 @pytest.mark.parametrize("size", [(1200, 700), (640, 360), (1920, 1080), (40, 24)])
 def test_no_label_leaves_the_view_from_above(tmp_path, size):
     """By the picture: the columns at its left edge are bare beside the axes, of which the tick at −10 is the widest."""
-    save_still(stage(np.array([[-30.0, 0, 0], [30, 0, 0]])), tmp_path / "p.png", size)
+    save_still(contents(np.array([[-30.0, 0, 0], [30, 0, 0]])), tmp_path / "p.png", size)
     pixels = matplotlib.image.imread(tmp_path / "p.png")[round(size[1] * 0.62) : round(size[1] * 0.9)]
     assert len(np.unique(pixels[:, : max(size[0] // 400, 1), :3].reshape(-1, 3), axis=0)) == 1
 
 
 def test_an_empty_stage_is_refused(tmp_path):
     with pytest.raises(CloudError, match="the cloud is empty"):
-        save_still(stage(), tmp_path / "p.png")
+        save_still(contents(), tmp_path / "p.png")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -121,7 +120,7 @@ def test_a_camera_that_sees_nothing_is_refused(eye, target, field, message):
 def test_a_camera_that_looks_away_is_refused(tmp_path):
     away = Camera(np.array([0.0, 0, 1]), np.array([-5.0, 0, 1]))
     with pytest.raises(CloudError, match="nothing is in view of a camera at 0,0,1 that looks at -5,0,1"):
-        save_still(stage(np.full((5, 3), 7.0)), tmp_path / "p.png", camera=away)
+        save_still(contents(np.full((5, 3), 7.0)), tmp_path / "p.png", camera=away)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -141,7 +140,7 @@ def test_colours_of_points_by_hand(by):
         ring=np.array([0, 7, 14], np.uint8),
         time_ns=np.array([10, 10 + 5 * 10**8, 10 + 10**9]),
     )
-    found = point_colours(replace(stage(), cloud=seen), by)
+    found = point_colours(replace(contents(), cloud=seen), by)
     low, high = rgb([SCALE[0]])[0], rgb([SCALE[-1]])[0]
     if by == "sensor":  # a, b, a; 70 % as bright where nothing comes back
         base = rgb(BRIGHT[:2])
@@ -209,7 +208,7 @@ def test_objects_of_a_capture_are_the_ones_that_its_points_lie_on(tmp_path, mode
         truth.save()
     paths = [tmp_path / "t.pcap", tmp_path / "t.npz"]
     (tmp_path / "rig.yaml").write_text(rig_text(rig))
-    staged = load_stage(paths, tmp_path / "rig.yaml", None, np.eye(4), no_warning)
+    staged = load_contents(paths, tmp_path / "rig.yaml", None, np.eye(4), no_warning)
     xyz, names = staged.cloud.xyz, np.array(staged.objects.names)[staged.objects.index]
     away = {
         "ground": abs(xyz[:, 2]),
@@ -283,22 +282,22 @@ def test_files_that_are_nothing_to_look_at(tmp_path, files, error, message):
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     with pytest.raises(error, match=re.escape(message)):
-        load_stage([tmp_path / name for name in files], None, None, np.eye(4), no_warning)
+        load_contents([tmp_path / name for name in files], None, None, np.eye(4), no_warning)
 
 
 def test_a_window_and_a_sensor_of_a_recording():
     """As decode cuts them out of the whole: by the time of what is shown, and by the sensor's address."""
     path = recording("nebula_vlp16.pcap")
-    whole = load_stage([path], None, None, np.eye(4), no_warning)
+    whole = load_contents([path], None, None, np.eye(4), no_warning)
     (name,) = whole.cloud.sensor_names
-    part = load_stage([path], None, None, np.eye(4), no_warning, Selection(0.1, 0.2, (name,)))
+    part = load_contents([path], None, None, np.eye(4), no_warning, Selection(0.1, 0.2, (name,)))
     first, last = part.cloud.time_ns.min(), part.cloud.time_ns.max()
     inside = (whole.cloud.time_ns >= first) & (whole.cloud.time_ns <= last)
     assert (part.cloud.xyz == whole.cloud.xyz[inside]).all()
     assert (last - first) / 1e9 == pytest.approx(0.1, abs=0.003)
     assert first - whole.cloud.time_ns.min() == pytest.approx(1e8, abs=3e6)
     with pytest.raises(ConfigError, match="select a part of a capture; there is none"):
-        load_stage([ROOF], None, None, np.eye(4), no_warning, Selection(sensors=("left",)))
+        load_contents([ROOF], None, None, np.eye(4), no_warning, Selection(sensors=("left",)))
 
 
 def test_a_cloud_of_another_program_is_shown(tmp_path):
@@ -320,12 +319,12 @@ def test_a_cloud_of_another_program_is_shown(tmp_path):
 def test_a_cloud_of_nan_is_refused(tmp_path):
     save_clouds(tmp_path / "n.ply", [cloud([[1, 2, 3], [np.nan, 0, 0]])])
     with pytest.raises(CloudError, match=r"n.ply: point 1 is not finite"):
-        load_stage([tmp_path / "n.ply"], None, None, np.eye(4), no_warning)
+        load_contents([tmp_path / "n.ply"], None, None, np.eye(4), no_warning)
 
 
 def test_at_places_the_vehicle_in_the_scene():
     """The vehicle at x = 20 with its nose to the north sees the world's origin 20 m to its left."""
-    staged = load_stage([STREET], None, None, pose((20, 0, 0), (0, 0, np.pi / 2)), no_warning)
+    staged = load_contents([STREET], None, None, pose((20, 0, 0), (0, 0, np.pi / 2)), no_warning)
     assert transform(staged.T_vehicle_world, [[0, 0, 1]]) == pytest.approx(np.array([[0, 20, 1]]))
 
 
@@ -359,7 +358,7 @@ def test_stills_are_as_they_were(tmp_path, name):
     xyz = rng.uniform((-12, -8, 0), (12, 8, 0), (6000, 3))
     xyz[::2, 1], xyz[::2, 2] = 8.0, rng.uniform(0, 3, 3000)
     seen = replace(cloud(xyz, ("left", "right")), intensity=(np.arange(6000) % 100).astype(np.uint8))
-    staged = Stage(seen, None, (load_rig(ROOF),), load_study(STUDY), (load_scene(STREET),), np.eye(4))
+    staged = Contents(seen, None, (load_rig(ROOF),), load_study(STUDY), (load_scene(STREET),), np.eye(4))
     how = {
         "above": {},
         "camera": {"camera": Camera(np.array([-9.0, -12, 6]), np.array([2.0, 0, 1]), 70.0), "by": "height", "worst": 2},
@@ -374,7 +373,7 @@ def test_stills_are_as_they_were(tmp_path, name):
 
 
 def test_a_window_has_what_a_still_has():
-    staged = Stage(cloud([[1, 2, 3]]), None, (load_rig(ROOF),), load_study(STUDY), (load_scene(STREET),), np.eye(4))
+    staged = Contents(cloud([[1, 2, 3]]), None, (load_rig(ROOF),), load_study(STUDY), (load_scene(STREET),), np.eye(4))
     kinds = [type(part).__name__ for part in parts(staged, "sensor")]
     assert kinds == ["TriangleMesh", "PointCloud", "TriangleMesh", "TriangleMesh", "TriangleMesh", "LineSet", "LineSet"]
 
@@ -383,7 +382,7 @@ def test_stills_show_where_bases_may_be_and_zones(tmp_path):
     """The middle of each cell of a roof that bases fit on is green in a view from above; a zone's edges are yellow."""
     text = (STUDY.parent / "mounts.yaml").read_text().replace("../vehicles", str(STUDY.parents[1] / "vehicles"))
     (tmp_path / "m.yaml").write_text(text + "zones: [{name: ahead, min_m: [4, -3, 0], max_m: [9, 3, 2]}]\n")
-    staged = load_stage([tmp_path / "m.yaml"], None, None, np.eye(4), no_warning)
+    staged = load_contents([tmp_path / "m.yaml"], None, None, np.eye(4), no_warning)
     camera = Camera(np.array([0.0, 0, 16]), np.zeros(3), 70.0)
     save_still(staged, tmp_path / "p.png", (640, 480), camera=camera, worst=0)
     image = drawn(tmp_path / "p.png")

@@ -231,7 +231,7 @@ void bind_boundaries(nb::module_& module) {
         check(lattice);
         check(surfaces, std::ssize(start), "surfaces: not of the lines");
         require(part.size() == surfaces.at.size(), "part: one for each crossing");
-        require(is_within(parts, 0, count_max), "parts: negative, or too many");
+        require(is_within(parts, 0, 1 << 26), "parts: not from 0 to 2^26");
         require(are_within(part.data(), std::ssize(part), 0, parts), "part: not below parts");
         return to_tuple(find_solid_flips(lattice, surfaces, part, parts, start));
       },

@@ -17,6 +17,7 @@
 #include <utility>
 #include <vector>
 
+#include "bind/classes.h"
 #include "views.h"
 
 namespace lidarcfg::bind {
@@ -193,6 +194,8 @@ concept Described = requires { Fields<T>::members; };
 /// From<T>::python(object, held, name) is the T that a Python object says.
 template <class T>
 struct From {  // an object of a class that is bound, by reference
+  static_assert(is_bound<std::remove_const_t<T>>, "neither a class that is bound, nor what can be taken by value");
+
   static T& python(nb::handle object, Held& held, const Name& name) {
     std::remove_const_t<T>* found = nullptr;
     if (!nb::try_cast(object, found) || !found) {
@@ -419,16 +422,11 @@ struct Signature<R (*)(A...)> {
   static constexpr std::size_t count = sizeof...(A);
 };
 
-template <class T>
-constexpr bool is_array = false;
-template <class E, std::size_t N>
-constexpr bool is_array<std::array<E, N>> = true;
-
 template <class A>
 decltype(auto) argument(nb::handle object, Held& held, const char* name) {
-  static_assert(!std::is_reference_v<A> || !is_array<std::remove_cvref_t<A>>, "arrays are taken by value");
-  return From<std::conditional_t<Described<std::remove_cvref_t<A>> || !std::is_reference_v<A>, std::remove_cvref_t<A>,
-                                 std::remove_reference_t<A>>>::python(object, held, Name{name});
+  using V = std::remove_cvref_t<A>;
+  static_assert(!std::is_reference_v<A> || Described<V> || is_bound<V>, "what is not bound is taken by value");
+  return From<std::conditional_t<is_bound<V>, std::remove_reference_t<A>, V>>::python(object, held, Name{name});
 }
 
 /// Call a kernel, without the GIL, with what Python objects say.
@@ -478,6 +476,7 @@ void def(Scope& scope, const char* name, F kernel, const char* doc, Names... nam
 template <class T, class F, class... Names>
 void init(nb::class_<T>& type, F make, const char* doc, Names... names) {
   using S = Signature<F>;
+  static_assert(is_bound<T>, "not in bind/classes.h");
   static_assert(sizeof...(Names) == S::count, "a name for each argument");
   [&]<std::size_t... I>(std::index_sequence<I...>) {
     const std::array<const char*, S::count> all{names...};

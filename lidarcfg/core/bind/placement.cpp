@@ -69,7 +69,7 @@ void check_placed(const Placed& placed, Index count, Index lidars) {
   require(placed.limits.tables() == count, "placed.limits: a table for each");
   require(placed.limits.rows() == 0 || placed.limits.rows() == lidars, "placed.limits: a row for each LiDAR, or none");
   require(placed.limits.columns() == limit_columns, "placed.limits: nine columns");
-  require(placed.obstacles.boxes.rows() == 6, "placed.obstacles.boxes: six rows");
+  check_obstacles(placed.obstacles, "placed.obstacles.boxes: neither (6, 16) nor (6, 0)");
 }
 
 void check_flags(Rows<const bool> flags, Index count, Index lidars, const char* message) {
@@ -170,11 +170,15 @@ std::tuple<std::vector<std::int64_t>, Array<std::int64_t, 2>, std::vector<std::i
     const Grid& grid, View<const Links> links, Tables<std::int32_t> label) {
   const auto [nx, ny, nz] = grid.shape();
   require(std::ssize(links) == grid.rows(), "links: for each row of the grid");
+  for (Index row = 0; row < grid.rows(); ++row) {
+    require((links[row] & grid.links[row]) == links[row], "links: not of neighbours in the grid");
+  }
   require(label.tables() == nx && label.rows() == ny && label.columns() == nz, "label: of the grid's shape");
   require(label.size() < std::numeric_limits<std::int32_t>::max(), "label: fewer than 2^31 cuboids");
   Components found = label_components(grid, links, label);
   const std::size_t count = found.cuboids.size();
-  return {std::move(found.cuboids), {std::move(found.internal), {count, 3}}, std::move(found.first)};
+  return std::tuple(std::move(found.cuboids), Array<std::int64_t, 2>{std::move(found.internal), {count, 3}},
+                    std::move(found.first));
 }
 
 }  // namespace
@@ -221,7 +225,7 @@ void bind_placement(nb::module_& module) {
       evaluator,
       [](const Grid& grid, Rows<const bool> cases, Index certificates) {
         require(cases.rows() > 0, "cases: none");
-        require(certificates > 0, "certificates: none");
+        require(1 <= certificates && certificates <= 1 << 20, "certificates: not from 1 to 2^20");
         return TrialEvaluator(grid, cases, certificates);
       },
       "For rigs in a grid, with the LiDARs of each case.", "grid", "cases", "certificates");

@@ -5,6 +5,7 @@
 #include "bind/modules.h"
 #include "bind/sight.h"
 #include "maths.h"
+#include "placement/clusters.h"
 #include "placement/return_counter.h"
 
 namespace lidarcfg::bind {
@@ -82,6 +83,23 @@ void check_group(const ReturnCounter& counter, Index group) {
   require(0 <= group && group < counter.groups(), "group: no number of a group");
 }
 
+void check_places(View<const std::int64_t> which, Index places) {
+  for (const std::int64_t place : which) {
+    require(0 <= place && place < places, "which: no number of a place");
+  }
+}
+
+template <class T>
+void check_table(Rows<T> table, Index places, const Scanners& scanners, const char* message) {
+  require(table.rows() == places && table.columns() == std::ssize(scanners), message);
+}
+
+void check_phases(const Scanners& scanners) {
+  for (const Scanner* one : scanners) {
+    require(one->phases() < 128, "scanners: too many phases");
+  }
+}
+
 void bind_shapes(nb::module_& module) {
   nb::class_<Scanner> scanner(module, "Scanner", "A sensor's firing pattern, whatever its pose; it does not change.");
   init(scanner, make_scanner, "Heads at the start of cycles of all phases, and the firings of a cycle.", "cos_head",
@@ -134,6 +152,7 @@ void bind_counter(nb::module_& module) {
       },
       "In how many of those places of a group that are the likeliest to be missed the object is.", "sensors", "R", "t",
       "group", "count");
+  counter.def_prop_ro("memory_bytes", &ReturnCounter::memory_bytes);
   counter.def_prop_ro("traced", &ReturnCounter::traced);
 }
 
@@ -152,13 +171,60 @@ void bind_returns(nb::module_& module) {
         for (const Scanner* one : scanners) {
           require(one->phases() <= counts.columns(), "counts: a column for each phase");
         }
-        for (const std::int64_t place : which) {
-          require(0 <= place && place < places.rows(), "which: no number of a place");
-        }
+        check_places(which, places.rows());
         placement::count_returns(places_of(places), which, scanners, poses, target, obstacles, counts);
       },
       "Count the returns from an object at some of its places.", "places", "which", "scanners", "R", "t", "target",
       "obstacles", "counts");
+  def(
+      module, "count_lowest",
+      [](Rows<const double> places, View<const std::int64_t> which, Scanners scanners, Tables<const double> R,
+         Rows<const double> t, const TargetShape& target, const Obstacles& obstacles, std::int32_t cap,
+         std::int64_t wanted, Rows<std::int32_t> counts, Rows<std::int8_t> phases) {
+        const std::vector<SensorPose> poses = poses_of(std::ssize(scanners), R, t);
+        check_places(which, places.rows());
+        check_table(counts, places.rows(), scanners, "counts: a row for each place, a column for each scanner");
+        check_table(phases, places.rows(), scanners, "phases: a row for each place, a column for each scanner");
+        check_phases(scanners);
+        require(cap >= 1 && cap < 1 << 24, "cap: not from 1 to 2^24");
+        placement::count_lowest(places_of(places), which, scanners, poses, target, obstacles, cap, wanted,
+                                {counts, phases});
+      },
+      "Count each sensor's returns in its worst phase, up to a cap.", "places", "which", "scanners", "R", "t", "target",
+      "obstacles", "cap", "wanted", "counts", "phases");
+  def(
+      module, "count_clusters",
+      [](Rows<const double> places, View<const std::int64_t> which, Scanners scanners, Tables<const double> R,
+         Rows<const double> t, const TargetShape& target, const Obstacles& obstacles, double tolerance_m,
+         double above_m, std::int64_t lost, std::int64_t sensors, bool joint, std::int32_t cap,
+         View<std::int32_t> counts, Rows<std::int8_t> phases) {
+        const std::vector<SensorPose> poses = poses_of(std::ssize(scanners), R, t);
+        check_places(which, places.rows());
+        require(std::ssize(counts) == places.rows(), "counts: one for each place");
+        check_table(phases, places.rows(), scanners, "phases: a row for each place, a column for each scanner");
+        check_phases(scanners);
+        require(tolerance_m > 0, "tolerance_m: not above 0");
+        require(0 <= lost && lost < std::ssize(scanners), "lost: not below the number of scanners");
+        require(0 <= sensors, "sensors: below 0");
+        placement::count_clusters(places_of(places), which, scanners, poses, target, obstacles, {tolerance_m, above_m},
+                                  {lost, sensors, joint, cap}, counts, phases);
+      },
+      "The points of the largest cluster of returns, in the worst case.", "places", "which", "scanners", "R", "t",
+      "target", "obstacles", "tolerance_m", "above_m", "lost", "sensors", "joint", "cap", "counts", "phases");
+  def(
+      module, "largest_cluster",
+      [](Rows<const double> points, double tolerance_m, double above_m) {
+        require(points.columns() == 3, "points: three columns");
+        require(tolerance_m > 0, "tolerance_m: not above 0");
+        placement::Clusters clusters({tolerance_m, above_m});
+        std::vector<Vec3> all;
+        for (Index n = 0; n < points.rows(); ++n) {
+          all.push_back({points(n, 0), points(n, 1), points(n, 2)});
+        }
+        clusters.add(all);
+        return clusters.largest();
+      },
+      "The points of the largest cluster with one that is high enough.", "points", "tolerance_m", "above_m");
   def(
       module, "detection_probabilities",
       [](Tables<const std::int32_t> counts, View<const std::int64_t> phases, Index enough) {

@@ -19,13 +19,16 @@ struct Fields<placement::Sight> {
   static constexpr auto members = fields(field("limits", &S::limits), field("obstacles", &S::obstacles));
 };
 
+inline void check_obstacles(const placement::Obstacles& obstacles, const char* message) {
+  const Index boxes = obstacles.boxes.columns();
+  require(obstacles.boxes.rows() == 6 && (boxes == 0 || boxes == world::shadow_boxes), message);
+}
+
 /// What of a sight can be wrong, for `lidars` LiDARs.
 inline void check_sight(const placement::Sight& sight, Index lidars) {
   require(sight.limits.columns() == placement::limit_columns, "sight.limits: nine columns");
   require(!sight.limited() || sight.limits.rows() >= lidars, "sight.limits: a row for each LiDAR, or none");
-  const Index boxes = sight.obstacles.boxes.columns();
-  require(sight.obstacles.boxes.rows() == 6 && (boxes == 0 || boxes == world::shadow_boxes),
-          "sight.obstacles.boxes: neither (6, 16) nor (6, 0)");
+  check_obstacles(sight.obstacles, "sight.obstacles.boxes: neither (6, 16) nor (6, 0)");
 }
 
 }  // namespace lidarcfg::bind

@@ -51,7 +51,9 @@ nb::bytes bytes_of(View<const T> values) {
 
 template <class T>
 std::vector<T> values_of(nb::handle bytes) {
-  const auto raw = nb::cast<nb::bytes>(bytes);
+  require(nb::isinstance<nb::bytes>(bytes), "state: not bytes");
+  const auto raw = nb::borrow<nb::bytes>(bytes);
+  require(raw.size() % sizeof(T) == 0, "state: bytes of no column");
   std::vector<T> out(raw.size() / sizeof(T));
   if (!out.empty()) {
     std::memcpy(out.data(), raw.data(), out.size() * sizeof(T));

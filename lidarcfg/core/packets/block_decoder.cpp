@@ -6,6 +6,7 @@
 #include "packets/robosense.h"
 #include "packets/velodyne.h"
 #include "simd.h"
+#include "times.h"
 
 namespace lidarcfg::packets {
 namespace {
@@ -134,7 +135,7 @@ Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const b
           .azimuth_rad = azimuth_rad,
           .cos_azimuth = cos_azimuth,
           .sin_azimuth = sin_azimuth,
-          .began_ns = stamp_ns[p] + turning.late_ns()[g],
+          .began_ns = later(stamp_ns[p], turning.late_ns()[g]),
           .kind = kind[p],
       };
       row += points_.write(group, out, row);

@@ -7,6 +7,7 @@
 
 #include "maths.h"
 #include "packets/velodyne.h"
+#include "times.h"
 
 namespace lidarcfg::packets {
 namespace {
@@ -199,7 +200,7 @@ Index BlockPoints::store(const Group& group, Index block, const Points& points, 
   Index found = 0;
   for (Index k = 0; k < width; ++k) {  // what is not kept is written over: no branch
     xyz_m[found] = {points.x[k], points.y[k], points.z[k]};
-    time_ns[found] = began_ns + offset_ns[k];
+    time_ns[found] = later(began_ns, offset_ns[k]);
     marks[found] = marks[k];
     found += points.kept[k];
   }

@@ -4,6 +4,8 @@
 #include <numbers>
 #include <vector>
 
+#include "times.h"
+
 namespace lidarcfg::packets {
 
 void fire(View<const double> revolutions, View<const std::int64_t> stamp_ns, View<const std::int64_t> offset_ns,
@@ -21,7 +23,7 @@ void fire(View<const double> revolutions, View<const std::int64_t> stamp_ns, Vie
       angle_rad[n] = (turn - std::floor(turn)) * (2 * std::numbers::pi);
     }
     for (std::size_t n = 0; n < turned.size(); ++n) {
-      time_ns[p][n] = began_ns + offset_ns[n];
+      time_ns[p][n] = later(began_ns, offset_ns[n]);
     }
   }
 }

@@ -8,6 +8,7 @@
 
 #include "maths.h"
 #include "packets/azimuth.h"
+#include "times.h"
 
 namespace lidarcfg::packets::hesai {
 namespace {
@@ -116,12 +117,12 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
           pairs[1].read(layout_.returns(packets[p], b + 1), lasers);
         }
         pair(block, pairs[1 - b % 2], lasers, b % 2 == 1, fields.near[p], fields.far[p]);
-        start_ns += pair_ns_[b / 2];
+        start_ns = later(start_ns, pair_ns_[b / 2]);
         loop = fields.loop[p];
       } else {
         block.read(layout_.returns(packets[p], b), lasers);
         block.set(lasers, fields.near[p]);
-        start_ns += group_ns_[b];
+        start_ns = later(start_ns, group_ns_[b]);
         loop = b % loops_;
       }
       const double azimuth_rad = word(layout_.azimuth(packets[p], b)) * radians_per_hundredth;
@@ -141,7 +142,7 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
           throw std::invalid_argument("out: fewer rows than returns");
         }
         out.xyz_m[row] = {x[k], y[k], z[k]};
-        out.time_ns[row] = start_ns + offset_ns_[loop * lasers + k];
+        out.time_ns[row] = later(start_ns, offset_ns_[loop * lasers + k]);
         out.laser[row] = static_cast<std::uint8_t>(k);
         out.ring[row] = ring_[k];
         out.intensity[row] = static_cast<std::uint8_t>(block.reflectivity[k]);

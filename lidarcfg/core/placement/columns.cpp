@@ -51,6 +51,9 @@ void mark_subspaces(const Labels& label, const CellRange& cells, View<bool> foun
 }
 
 void count_lines(const Labels& label, View<const std::int64_t> row_of, const Lines& x, const Lines& y, const Lines& z) {
+  for (const Lines& lines : {x, y, z}) {
+    std::fill_n(lines.data(), lines.size(), 0);
+  }
   for (Index i = 0; i < label.tables(); ++i) {
     for (Index j = 0; j < label.rows(); ++j) {
       const View<const std::int32_t> column = label[i][j];

@@ -17,7 +17,7 @@ using CellRange = Rows<const std::int64_t>;
 /// Mark the subspaces that have a cuboid in a box; the last entry of `found` is for excluded ones.
 void mark_subspaces(const Labels& label, const CellRange& cells, View<bool> found);
 
-/// Add to the lines along x (n, ny, nz), y (n, nx, nz) and z (n, nx, ny) how many cuboids of n subspaces lie on them.
+/// Write how many cuboids of n subspaces lie on the lines along x (n, ny, nz), y (n, nx, nz) and z (n, nx, ny).
 ///
 /// row_of: by the number of a subspace its row in these, or -1; the last entry is for excluded cuboids.
 void count_lines(const Labels& label, View<const std::int64_t> row_of, const Lines& x, const Lines& y, const Lines& z);

@@ -100,7 +100,7 @@ class Positions {
   Positions(Labels labels, const std::array<Index, 3>& size, Index threshold, Index layers, View<bool> held)
       : labels_(labels),
         size_(size),
-        threshold_(threshold),
+        threshold_(std::min(threshold, size[0] * size[1] * size[2])),  // a box cannot touch more
         heights_(std::min(labels.columns() - size[2] + 1, layers)),
         words_((heights_ + row_size - 1) / row_size),
         held_(held),
@@ -109,7 +109,7 @@ class Positions {
         free_(labels.columns() / row_size + 2),
         same_(free_.size()),
         like_(free_.size()),
-        seen_(threshold) {}
+        seen_(threshold_) {}
 
   PlaceCounts count(Index misses) {
     PlaceCounts out;
@@ -118,6 +118,7 @@ class Positions {
     out.places.resize(out.columns * out.rows);
     out.detected.resize(out.columns * out.rows);
     Index written = 0;
+    Index missed = 0;
     for (Index i = 0; i < out.columns; ++i) {
       for (; written < i + size_[0]; ++written) {
         write_slice(written);
@@ -131,8 +132,8 @@ class Positions {
           detected += std::popcount(find_detected(box, i, j, word));
           note_held(box, i, j, word);
         }
-        misses -= places - detected;
-        if (misses <= 0) {
+        missed += places - detected;
+        if (missed >= misses) {
           return out;
         }
       }
@@ -267,7 +268,7 @@ PlaceCounts detected_positions(Labels labels, const std::array<Index, 3>& size, 
 
 BoxCounts detected_boxes(Labels labels, const Vec3& low, const Vec3& edge, View<const Box> boxes, const Vec3& size,
                          Index threshold) {
-  Distinct seen(threshold + 1);
+  Distinct seen(std::min(threshold, labels.size()) + 1);
   BoxCounts out{};
   for (const Box& box : boxes) {
     const double x = box[0] - low[0];

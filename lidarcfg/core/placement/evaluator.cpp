@@ -205,8 +205,8 @@ Effort TrialEvaluator::evaluate_batch(View<std::int64_t> counter, Index most, co
   }
   visibility_.take_cast_count();
   for (Index n = 0; n < most; ++n) {
-    const Index trial = take(counter);
-    if (trial >= std::ssize(batch.source)) {
+    const Index trial = take(counter, std::ssize(batch.source));
+    if (trial < 0) {
       break;
     }
     for (Index lidar = 0; limited && lidar < lidars_; ++lidar) {
@@ -250,8 +250,8 @@ void TrialEvaluator::recompute_links(View<std::int64_t> counter, Index most, con
     visibility_ = VisibilityCache(lidars_, grid_.rows());
   }
   for (Index taken = 0; taken < most; ++taken) {
-    const Index n = take(counter);
-    if (n >= std::ssize(sources.row)) {
+    const Index n = take(counter, std::ssize(sources.row));
+    if (n < 0) {
       break;
     }
     const Index row = sources.row[n];

@@ -57,7 +57,7 @@ class Flooder::Gaps {
   Gaps(const Grid& grid, const Barriers& barriers, VisibilityCache& cache, Index cuboid)
       : grid_(grid), barriers_(barriers), cache_(cache) {
     const Index row = cuboid / row_size;
-    const Place place = grid.place(row);
+    const RowPlace place = grid.place(row);
     for (const Index lidar : barriers.moved) {
       const Cones cones(barriers.cones[lidar]);
       const Index count = beam_gap({grid.x[place.first + cuboid % row_size], place.y, place.z}, cones);
@@ -75,7 +75,7 @@ class Flooder::Gaps {
   /// The cuboids of a row in the gaps.
   Word inside(Index row) {
     Word word = all_bits;
-    const Place place = grid_.place(row);
+    const RowPlace place = grid_.place(row);
     for (Gap& gap : gaps_) {
       if (gap.is_seen) {
         if (gap.first != place.first) {
@@ -137,7 +137,8 @@ const Subspace& Flooder::run(View<const Links> links, Index cuboid, Inside insid
       bits &= inside(row);
     }
     const int count = std::popcount(bits);
-    if (bits &= left[row]) {
+    bits &= left[row];
+    if (bits) {
       waiting_[waiting++] = next;
       next = {row, bits};
     }

@@ -28,10 +28,11 @@ struct Links {
 
   Links operator&(const Links& other) const { return {x & other.x, y & other.y, z & other.z}; }
   Links& operator&=(const Links& other) { return *this = *this & other; }
+  bool operator==(const Links&) const = default;
 };
 
 /// Where a row is.
-struct Place {
+struct RowPlace {
   Index first;  // of its centres, in Grid::x
   double y, z;
 };
@@ -74,7 +75,7 @@ class Grid {
   Index end_row() const { return rows() - step_z(); }
 
   /// Of a row that has cuboids that count.
-  Place place(Index row) const {
+  RowPlace place(Index row) const {
     return {row % step_y() * row_size, y[row % step_z() / step_y() - 1], z[row / step_z() - 1]};
   }
 

@@ -9,8 +9,8 @@
 namespace lidarcfg::placement {
 namespace {
 
-constexpr Index poses_kept = 256;        // of a sensor, if memory allows: as many food sources are searched around
-constexpr Index memory_bytes = 1 << 27;  // that these may take
+constexpr Index poses_kept = 256;      // of a sensor, if memory allows: as many food sources are searched around
+constexpr Index kept_bytes = 1 << 27;  // that these may take; two of a sensor may take more
 
 constexpr int number_bits = 31;
 constexpr std::uint64_t number_mask = (std::uint64_t{1} << number_bits) - 1;
@@ -71,11 +71,11 @@ ReturnCounter::ReturnCounter(std::vector<Scanner> scanners, TargetShape target, 
       obstacles_{&bodies_, {}, obstacles.origin_m, obstacles.ground_m},
       enough_(enough),
       kept_(scanners_.size()) {
-  Index of_a_place = 0;  // bytes, for a pose of each sensor
   for (const Scanner& scanner : scanners_) {
-    of_a_place += static_cast<Index>(sizeof(std::uint64_t) + sizeof(std::int32_t) * scanner.phases());
+    pose_bytes_ +=
+        std::ssize(places_) * static_cast<Index>(sizeof(std::uint64_t) + sizeof(std::int32_t) * scanner.phases());
   }
-  most_poses_ = std::clamp(memory_bytes / std::max<Index>(of_a_place * std::ssize(places_), 1), Index{2}, poses_kept);
+  most_poses_ = std::clamp(kept_bytes / std::max<Index>(pose_bytes_, 1), Index{2}, poses_kept);
 }
 
 std::unique_ptr<ReturnCounter::Workspace> ReturnCounter::take_workspace() {

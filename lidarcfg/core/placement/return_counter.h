@@ -36,6 +36,9 @@ class ReturnCounter {
   /// 0 where sums are not exact.
   double missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group, Index count);
 
+  /// What is known of poses takes no more memory.
+  Index memory_bytes() const { return most_poses_ * pose_bytes_; }
+
   /// How many pairs of sensor and place were traced so far.
   std::int64_t traced() const { return traced_; }
 
@@ -110,7 +113,8 @@ class ReturnCounter {
   world::Bvh bodies_;
   Obstacles obstacles_;
   std::int32_t enough_;
-  Index most_poses_;  // that are kept of a sensor
+  Index pose_bytes_ = 0;  // that what is known of a pose of each sensor takes
+  Index most_poses_;      // that are kept of a sensor
   std::atomic<std::int64_t> traced_ = 0;
 
   std::mutex mutex_;                     // of what follows

@@ -25,17 +25,33 @@ ReturnTracer::Bounds bounds_of(View<const std::int32_t> counts, View<const std::
 
 }  // namespace
 
-void ReturnTracer::count(const AimedBeams& beams, const Obstacles& obstacles, View<std::int32_t> counts) {
+/// Call on_return with the number of each waiting hit that is a return.
+template <class OnReturn>
+void ReturnTracer::trace_all(const AimedBeams& beams, const Obstacles& obstacles, OnReturn on_return) {
   waiting_ = 0;
   for (const AimedBeams::Heads& heads : beams.heads()) {
     for (std::int32_t head = heads.first; head < heads.end; head += world::packet_size) {
       trace(beams, {heads.firing, head, std::min(heads.end, head + world::packet_size)}, obstacles);
       if (waiting_ > capacity - world::packet_size) {
-        settle(obstacles, counts);
+        settle(obstacles, on_return);
       }
     }
   }
-  settle(obstacles, counts);
+  settle(obstacles, on_return);
+}
+
+void ReturnTracer::count(const AimedBeams& beams, const Obstacles& obstacles, View<std::int32_t> counts) {
+  trace_all(beams, obstacles, [&](int n) { ++counts[phase_[n]]; });
+}
+
+void ReturnTracer::collect(const AimedBeams& beams, const Obstacles& obstacles, View<std::vector<Vec3>> points) {
+  trace_all(beams, obstacles, [&](int n) {
+    Vec3 point;
+    for (int k = 0; k < 3; ++k) {
+      point[k] = obstacles.origin_m[k] + (starts_[k * capacity + n] + ways_[k * capacity + n]);
+    }
+    points[phase_[n]].push_back(point);
+  });
 }
 
 ReturnTracer::Bounds ReturnTracer::count_until(const AimedBeams& beams, const Obstacles& obstacles, std::int32_t enough,
@@ -49,7 +65,7 @@ ReturnTracer::Bounds ReturnTracer::count_until(const AimedBeams& beams, const Ob
     for (std::int32_t head = heads.first; head < heads.end; head += world::packet_size) {
       const AimedBeams::Heads some{heads.firing, head, std::min(heads.end, head + world::packet_size)};
       trace(beams, some, obstacles);
-      settle(obstacles, counts);
+      settle(obstacles, [&](int n) { ++counts[phase_[n]]; });
       add_by_phase(some, -1, open_);
       const Bounds bounds = bounds_of(counts, open_);
       if (bounds.least >= enough || bounds.most < wanted) {
@@ -94,8 +110,9 @@ void ReturnTracer::trace(const AimedBeams& beams, const AimedBeams::Heads& heads
   }
 }
 
-/// Count those of the hits that wait that nothing stands before.
-void ReturnTracer::settle(const Obstacles& obstacles, View<std::int32_t> counts) {
+/// Call on_return with those of the hits that wait that nothing stands before.
+template <class OnReturn>
+void ReturnTracer::settle(const Obstacles& obstacles, OnReturn on_return) {
   const Rows<const double> starts(starts_, 3, capacity);
   const Rows<const double> ways(ways_, 3, capacity);
   const double ground_m = obstacles.ground_m - obstacles.origin_m[2];
@@ -113,7 +130,9 @@ void ReturnTracer::settle(const Obstacles& obstacles, View<std::int32_t> counts)
       const double start = starts(2, done + n);
       const double end = start + ways(2, done + n);
       const bool hidden = blocks && packet_.slot(n) >= 0;
-      counts[phase_[done + n]] += !(hidden || (std::min(start, end) < ground_m && ground_m < std::max(start, end)));
+      if (!hidden && !(std::min(start, end) < ground_m && ground_m < std::max(start, end))) {
+        on_return(done + n);
+      }
     }
     done += some;
   }
@@ -131,6 +150,40 @@ void count_returns(View<const Place> places, View<const std::int64_t> which, Vie
       const View<std::int32_t> by_phase = counts[place][s].first(scanners[s]->phases());
       std::ranges::fill(by_phase, 0);
       tracer->count(beams, obstacles, by_phase);
+    }
+  }
+}
+
+void count_lowest(View<const Place> places, View<const std::int64_t> which, View<const Scanner* const> scanners,
+                  View<const SensorPose> poses, const TargetShape& target, const Obstacles& obstacles, std::int32_t cap,
+                  Index wanted, const LowestCounts& lowest) {
+  const auto tracer = std::make_unique<ReturnTracer>();
+  AimedBeams beams;
+  std::vector<std::int32_t> by_phase;
+  std::vector<std::pair<double, Index>> order;
+  for (const std::int64_t place : which) {
+    const View<std::int32_t> counts = lowest.counts[place];
+    Index enough = std::count_if(counts.begin(), counts.end(), [&](std::int32_t one) { return one >= cap; });
+    order.clear();
+    for (Index s = 0; s < std::ssize(scanners); ++s) {
+      if (counts[s] < 0) {
+        const double x = poses[s].t[0] - places[place].position_m[0];
+        const double y = poses[s].t[1] - places[place].position_m[1];
+        order.emplace_back(x * x + y * y, s);
+      }
+    }
+    std::sort(order.begin(), order.end());
+    for (const auto& [distance, s] : order) {
+      if (enough >= wanted) {
+        break;
+      }
+      beams.aim(*scanners[s], poses[s], target, places[place]);
+      by_phase.assign(scanners[s]->phases(), 0);
+      tracer->count_until(beams, obstacles, cap, 0, by_phase);
+      const auto least = std::min_element(by_phase.begin(), by_phase.end());
+      counts[s] = std::min(*least, cap);
+      lowest.phases(place, s) = static_cast<std::int8_t>(least - by_phase.begin());
+      enough += counts[s] == cap;
     }
   }
 }

@@ -15,6 +15,9 @@ class ReturnTracer {
   /// Count all returns, to counts (phases,), of zeros.
   void count(const AimedBeams& beams, const Obstacles& obstacles, View<std::int32_t> counts);
 
+  /// Add where all returns come from, in the vehicle's frame, to points of each phase.
+  void collect(const AimedBeams& beams, const Obstacles& obstacles, View<std::vector<Vec3>> points);
+
   /// Between how many returns each phase has.
   struct Bounds {
     std::int32_t least;
@@ -30,7 +33,10 @@ class ReturnTracer {
   static constexpr int capacity = 2 * world::packet_size;
 
   void trace(const AimedBeams& beams, const AimedBeams::Heads& heads, const Obstacles& obstacles);
-  void settle(const Obstacles& obstacles, View<std::int32_t> counts);
+  template <class OnReturn>
+  void trace_all(const AimedBeams& beams, const Obstacles& obstacles, OnReturn on_return);
+  template <class OnReturn>
+  void settle(const Obstacles& obstacles, OnReturn on_return);
 
   world::Packet packet_;
   double origins_[3 * world::packet_size];  // of rays, in the object's frame
@@ -51,6 +57,17 @@ class ReturnTracer {
 void count_returns(View<const Place> places, View<const std::int64_t> which, View<const Scanner* const> scanners,
                    View<const SensorPose> poses, const TargetShape& target, const Obstacles& obstacles,
                    const Tables<std::int32_t>& counts);
+
+/// Each sensor's returns in its worst phase, as far as they are needed, up to a cap.
+struct LowestCounts {
+  Rows<std::int32_t> counts;  // (places, sensors) at most `cap`; below 0: unknown
+  Rows<std::int8_t> phases;   // (places, sensors) the phase, where there are fewer than `cap`
+};
+
+/// Write those that are unknown at some places, the nearest sensors' first, until `wanted` sensors have `cap`.
+void count_lowest(View<const Place> places, View<const std::int64_t> which, View<const Scanner* const> scanners,
+                  View<const SensorPose> poses, const TargetShape& target, const Obstacles& obstacles, std::int32_t cap,
+                  Index wanted, const LowestCounts& lowest);
 
 /// The probability of `enough` returns in all, where each sensor is in any of its phases, whatever the others'.
 class DetectionProbability {

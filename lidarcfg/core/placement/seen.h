@@ -8,7 +8,7 @@ namespace lidarcfg::placement {
 
 /// The centres of a row that has cuboids that count.
 inline Centres centres_of(const Grid& grid, Index row) {
-  const Place place = grid.place(row);
+  const RowPlace place = grid.place(row);
   return {&grid.x[place.first], place.y, place.z, grid.edge[0]};
 }
 

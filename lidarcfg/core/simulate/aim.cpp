@@ -73,19 +73,20 @@ void Aim<Width>::mount() {
 /// Find where the sensor is at each firing.
 template <int Width>
 void Aim<Width>::move(const Firings& firings, View<const Index> which) {
+  const int beams = beams_;
   Lanes path_s;
-  for (int n = 0; n < beams_; ++n) {
+  for (int n = 0; n < beams; ++n) {
     path_s[n] = seconds_between(mounting_.zero_ns, firings.time_ns[which[n]]);
   }
   if (turns_) {
-    for (int n = 0; n < beams_; ++n) {
+    for (int n = 0; n < beams; ++n) {
       vehicle_.set(n, mounting_.path->at(path_s[n]));
     }
     mount();
     return;
   }
   for (int axis = 0; axis < 3; ++axis) {
-    for (int n = 0; n < beams_; ++n) {
+    for (int n = 0; n < beams; ++n) {
       in_world_.t[axis][n] = start_m_[axis] + velocity_m_s_[axis] * path_s[n];
     }
   }

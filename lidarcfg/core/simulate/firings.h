@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "times.h"
 #include "views.h"
 
 namespace lidarcfg::simulate {
@@ -24,6 +25,12 @@ struct Batches {
 
   Index count() const { return std::ssize(block); }
 
+  /// When the block of a batch begins.
+  std::int64_t begin_ns(Index batch) const {
+    const std::uint64_t after_ns = static_cast<std::uint64_t>(block[batch]) * static_cast<std::uint64_t>(block_ns);
+    return later(zero_ns, static_cast<std::int64_t>(after_ns));
+  }
+
   View<const Index> operator[](Index batch) const {
     return View<const Index>(order).subspan(first[batch], first[batch + 1] - first[batch]);
   }
@@ -33,10 +40,5 @@ struct Batches {
 ///
 /// Blocks last at least `block_ns`, and longer where there would be thousands; 0: there is one.
 Batches divide(const Firings& firings, Index most, std::int64_t block_ns);
-
-/// Seconds from a time to a later one.
-inline double seconds_between(std::int64_t from_ns, std::int64_t to_ns) {
-  return static_cast<std::int64_t>(static_cast<std::uint64_t>(to_ns) - static_cast<std::uint64_t>(from_ns)) / 1e9;
-}
 
 }  // namespace lidarcfg::simulate

@@ -71,9 +71,11 @@ class FiringTracer {
 
   template <class Hit>
   void by_face(Hit hit);
+  template <class Hit>
+  void by_packet(const Rays& rays, int face, Hit hit);
   void hit_world(const Rays& rays, int face, RayHits& hits);
   void hit_bodies(const Rays& rays, int face, RayHits& hits);
-  void find_cosines(const Rays& rays, RayHits& hits);
+  void find_cosines(const Rays& rays, int first_ray, RayHits& hits);
   void write() const;
 
   double cosine(const Rays& rays, int n, const Vec3& normal) const {
@@ -95,8 +97,8 @@ class FiringTracer {
   RayHits found_;            // what they hit
   double face_[most_rays];   // what they face
 
-  world::PacketOf<most_rays> packet_;
-  int count_;                       // rays of the batch in the packet
+  world::Packet packet_;
+  int count_;                       // rays of the batch that face the same way
   int number_[most_rays];           // which they are
   double seconds_[most_rays] = {};  // when they start, if anything moves
   Rays gathered_;                   // they, unless they are the whole batch
@@ -111,9 +113,8 @@ void FiringTracer<Width>::trace() {
     moving_.emplace(stage_.world);
   }
   for (Index b = 0; b < batches.count(); ++b) {
-    if (moves && (b == 0 || batches.block[b] != batches.block[b - 1])) {
-      const std::int64_t begin_ns = batches.zero_ns + batches.block[b] * batches.block_ns;
-      const double begin_s = seconds_between(stage_.zero_ns, begin_ns);
+    if (moving_ && (b == 0 || batches.block[b] != batches.block[b - 1])) {
+      const double begin_s = seconds_between(stage_.zero_ns, batches.begin_ns(b));
       moving_->during(begin_s, begin_s + batches.block_ns / 1e9);
     }
     which_ = batches[b];
@@ -177,39 +178,52 @@ void FiringTracer<Width>::by_face(Hit hit) {
   }
 }
 
+/// Have packets take the rays that face the same way: `hit(first)` for each, whose rays are from a number on.
 template <int Width>
-void FiringTracer<Width>::hit_world(const Rays& rays, int face, RayHits& hits) {
-  packet_.load(rays.origins, rays.directions, 0, count_, face);
-  packet_.hit_ground(stage_.world.ground_m(), stage_.limit_m);
-  packet_.first_hits(stage_.world.fixed());
-  if (moving_) {
-    for (int n = 0; n < count_; ++n) {
-      seconds_[n] = seconds_between(stage_.zero_ns, firings_.time_ns[which_[number_[n] / Width]]);
-    }
-    moving_->hit(packet_, View<const double>(seconds_, count_));
-  }
-  for (int n = 0; n < count_; ++n) {
-    hits.slot[n] = packet_.slot(n);
-    hits.range_m[n] = packet_.slot(n) == no_slot ? inf : packet_.range(n);
-  }
-  if (cosines_) {
-    find_cosines(rays, hits);
+template <class Hit>
+void FiringTracer<Width>::by_packet(const Rays& rays, int face, Hit hit) {
+  for (int first = 0; first < count_; first += world::packet_size) {
+    packet_.load(rays.origins, rays.directions, first, std::min(world::packet_size, count_ - first), face);
+    hit(first);
   }
 }
 
-/// Find the cosines of the angles at which rays hit the world.
 template <int Width>
-void FiringTracer<Width>::find_cosines(const Rays& rays, RayHits& hits) {
+void FiringTracer<Width>::hit_world(const Rays& rays, int face, RayHits& hits) {
+  for (int n = 0; moving_ && n < count_; ++n) {
+    seconds_[n] = seconds_between(stage_.zero_ns, firings_.time_ns[which_[number_[n] / Width]]);
+  }
+  by_packet(rays, face, [&](int first) {
+    packet_.hit_ground(stage_.world.ground_m(), stage_.limit_m);
+    packet_.first_hits(stage_.world.fixed());
+    if (moving_) {
+      moving_->hit(packet_, View<const double>(seconds_ + first, packet_.count()));
+    }
+    for (int n = 0; n < packet_.count(); ++n) {
+      hits.slot[first + n] = packet_.slot(n);
+      hits.range_m[first + n] = packet_.slot(n) == no_slot ? inf : packet_.range(n);
+    }
+    if (cosines_) {
+      find_cosines(rays, first, hits);
+    }
+  });
+}
+
+/// Find the cosines of the angles at which the packet's rays hit the world.
+template <int Width>
+void FiringTracer<Width>::find_cosines(const Rays& rays, int first_ray, RayHits& hits) {
   const Bvh& fixed = stage_.world.fixed();
-  for (int first = 0; first < count_;) {
+  const int last = first_ray + packet_.count();
+  for (int first = first_ray; first < last;) {
     const std::int32_t slot = hits.slot[first];
     int end = first + 1;
     if (slot >= 0 && (slot >= fixed.size() || fixed.kind[slot] != world::Kind::triangle)) {
-      const Vec3 normal = stage_.world.normal(slot, packet_.origin(first), packet_.direction(first),
-                                              packet_.range(first), seconds_[first]);
+      const int n = first - first_ray;
+      const Vec3 normal =
+          stage_.world.normal(slot, packet_.origin(n), packet_.direction(n), packet_.range(n), seconds_[first]);
       hits.cosine[first] = cosine(rays, first, normal);
     } else {
-      while (end < count_ && hits.slot[end] == slot) {  // neighbours hit the same plane
+      while (end < last && hits.slot[end] == slot) {  // neighbours hit the same plane
         ++end;
       }
       const Vec3 normal = slot >= 0 ? normals_[slot] : Vec3{0, 0, 1};
@@ -224,27 +238,28 @@ void FiringTracer<Width>::find_cosines(const Rays& rays, RayHits& hits) {
 template <int Width>
 void FiringTracer<Width>::hit_bodies(const Rays& rays, int face, RayHits& hits) {
   const Bvh& bodies = stage_.bodies;
-  packet_.load(rays.origins, rays.directions, 0, count_, face);
-  for (int n = 0; n < count_; ++n) {
-    packet_.keep(n, std::min(hits.range_m[n], stage_.limit_m), no_slot);
-  }
-  packet_.first_hits(bodies);
-  for (int n = 0; n < count_; ++n) {
-    const std::int32_t slot = packet_.slot(n);
-    if (slot == no_slot) {
-      continue;
+  by_packet(rays, face, [&](int first) {
+    for (int n = 0; n < packet_.count(); ++n) {
+      packet_.keep(n, std::min(hits.range_m[first + n], stage_.limit_m), no_slot);
     }
-    hits.slot[n] = stage_.world.slots() + slot;
-    hits.range_m[n] = packet_.range(n);
-    if (cosines_) {
-      const world::Kind kind = bodies.kind[slot];
-      const Vec3 normal = kind == world::Kind::triangle
-                              ? body_normals_[slot]
-                              : world::normal_at(bodies.leaves[slot].shape, kind, packet_.origin(n),
-                                                 packet_.direction(n), packet_.range(n));
-      hits.cosine[n] = cosine(rays, n, normal);
+    packet_.first_hits(bodies);
+    for (int n = 0; n < packet_.count(); ++n) {
+      const std::int32_t slot = packet_.slot(n);
+      if (slot == no_slot) {
+        continue;
+      }
+      hits.slot[first + n] = stage_.world.slots() + slot;
+      hits.range_m[first + n] = packet_.range(n);
+      if (cosines_) {
+        const world::Kind kind = bodies.kind[slot];
+        const Vec3 normal = kind == world::Kind::triangle
+                                ? body_normals_[slot]
+                                : world::normal_at(bodies.leaves[slot].shape, kind, packet_.origin(n),
+                                                   packet_.direction(n), packet_.range(n));
+        hits.cosine[first + n] = cosine(rays, first + n, normal);
+      }
     }
-  }
+  });
 }
 
 /// Write what the batch's rays hit.

@@ -243,7 +243,7 @@ struct Memory {
   std::vector<std::int32_t> object;
 };
 
-Bvh view_of(std::shared_ptr<const Memory> memory) {
+Bvh view_of(const std::shared_ptr<const Memory>& memory) {
   Bvh out{memory->nodes, memory->leaves, memory->kind, memory->number, memory->object, 0, memory};
   for (const Leaf& leaf : memory->leaves) {
     float reach_m = 0;
@@ -253,6 +253,41 @@ Bvh view_of(std::shared_ptr<const Memory> memory) {
     out.reach_m = std::max(out.reach_m, reach_m);
   }
   return out;
+}
+
+void require(bool holds, const char* message) {
+  if (!holds) {
+    throw std::invalid_argument(message);
+  }
+}
+
+/// Whether a node's child may be the leaf of this code, or none.
+bool is_leaf(std::int32_t code, Index shapes) {
+  const LeafCode leaf(code);
+  return leaf.first() <= leaf.end() && leaf.end() <= shapes;
+}
+
+void check(const Bvh& bvh) {
+  const Index shapes = bvh.size();
+  require(shapes <= most_shapes, "leaves: too many");
+  require(std::ssize(bvh.kind) == shapes, "kind: one for each leaf");
+  require(std::ssize(bvh.number) == shapes, "number: one for each leaf");
+  require(std::ssize(bvh.object) == shapes, "object: one for each leaf");
+  require(bvh.nodes.empty() == bvh.leaves.empty(), "nodes: none, or without leaves");
+  require(std::ranges::all_of(bvh.kind, [](Kind one) { return one <= Kind::instance; }), "kind: unknown");
+  std::vector<int> level(bvh.nodes.size());  // of the nodes that another one leads to
+  for (Index n = 0; n < std::ssize(bvh.nodes); ++n) {
+    require(level[n] > 0 || n == 0, "nodes: not after the node that leads to it");
+    for (const std::int32_t code : bvh.nodes[n].child) {
+      if (code < 0) {
+        require(is_leaf(code, shapes), "nodes: beyond the leaves");
+        continue;
+      }
+      require(n < code && code < std::ssize(bvh.nodes) && level[code] == 0, "nodes: not a tree");
+      level[code] = level[n] + 1;
+      require(level[code] < most_levels, "nodes: too many levels");
+    }
+  }
 }
 
 }  // namespace
@@ -304,10 +339,11 @@ Bvh build(View<const Shape> shapes, View<const Kind> kind, View<const std::int32
       memory->object.push_back(object[s]);
     }
   }
-  return view_of(std::move(memory));
+  return view_of(memory);
 }
 
 Bvh copy_of(const Bvh& views) {
+  check(views);
   return view_of(std::make_shared<Memory>(Memory{{views.nodes.begin(), views.nodes.end()},
                                                  {views.leaves.begin(), views.leaves.end()},
                                                  {views.kind.begin(), views.kind.end()},

@@ -72,12 +72,15 @@ struct Bvh {
 };
 
 constexpr Index most_shapes = Index{1} << 28;  // so that slots fit into leaf codes
+constexpr int most_levels = 70;                // of nodes
 
 /// The hierarchy over shapes of kinds (S,) with numbers (S,), which belong to objects (S,); S is at most `most_shapes`.
 Bvh build(View<const Shape> shapes, View<const Kind> kind, View<const std::int32_t> number,
           View<const std::int32_t> object);
 
-/// The same hierarchy in memory of its own.
+/// The same hierarchy in memory of its own, from wherever the views come.
+///
+/// Throws std::invalid_argument where these are not such that rays find their way.
 Bvh copy_of(const Bvh& views);
 
 }  // namespace lidarcfg::world

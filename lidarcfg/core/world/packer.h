@@ -13,11 +13,8 @@ namespace lidarcfg::world {
 /// Loads a packet as soon as it has its rays, and calls `take(packet, numbers)`; numbers are what the rays were given.
 ///
 /// Who takes it says how far the rays may go, has them hit something and reads what they hit.
-template <int Capacity = packet_size>
 class Packer {
  public:
-  using Packet = PacketOf<Capacity>;
-
   template <class Take>
   void add(const Vec3& origin, const Vec3& direction, Index number, Take&& take) {
     const int face = facing(direction[0], direction[1], direction[2]);
@@ -28,7 +25,7 @@ class Packer {
     }
     queue.numbers[queue.count] = number;
     waiting_ |= 1u << face;
-    if (++queue.count == Capacity) {
+    if (++queue.count == packet_size) {
       flush(face, take);
     }
   }
@@ -38,7 +35,7 @@ class Packer {
   void add(Rows<const double> origins, Rows<const double> directions, Index first, Index count, int face, Take&& take) {
     Queue& queue = queues_[face];
     for (const Index end = first + count; first < end;) {
-      const Index some = std::min<Index>(end - first, Capacity - queue.count);
+      const Index some = std::min<Index>(end - first, packet_size - queue.count);
       for (int axis = 0; axis < 3; ++axis) {
         std::copy_n(origins[axis].data() + first, some, queue.origins[axis] + queue.count);
         std::copy_n(directions[axis].data() + first, some, queue.directions[axis] + queue.count);
@@ -47,7 +44,7 @@ class Packer {
       waiting_ |= 1u << face;
       queue.count += static_cast<int>(some);
       first += some;
-      if (queue.count == Capacity) {
+      if (queue.count == packet_size) {
         flush(face, take);
       }
     }
@@ -65,16 +62,16 @@ class Packer {
 
  private:
   struct Queue {
-    double origins[3][Capacity];
-    double directions[3][Capacity];
-    Index numbers[Capacity];
+    double origins[3][packet_size];
+    double directions[3][packet_size];
+    Index numbers[packet_size];
     int count = 0;
   };
 
   template <class Take>
   void flush(int face, Take& take) {
     Queue& queue = queues_[face];
-    packet_.load({queue.origins[0], 3, Capacity}, {queue.directions[0], 3, Capacity}, 0, queue.count, face);
+    packet_.load({queue.origins[0], 3, packet_size}, {queue.directions[0], 3, packet_size}, 0, queue.count, face);
     queue.count = 0;
     waiting_ &= ~(1u << face);
     take(packet_, View<const Index>(queue.numbers, packet_.count()));

@@ -16,7 +16,7 @@ constexpr double pad_m = 1e-9;      // the same of origins
 constexpr float flattest = 1e-28f;  // of a direction's component: its inverse is finite
 constexpr float farthest = 1e38f;
 constexpr double farthest_ground_m = 3e38f;
-constexpr int stack_size = 512;  // 7 a level, and no hierarchy has more than 70
+constexpr int stack_size = (node_size - 1) * most_levels + 1;
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 struct Waiting {
@@ -99,9 +99,7 @@ auto other_facing(int face, const double* from_x, const double* from_y, const do
 
 }  // namespace
 
-template <int Capacity>
-void PacketOf<Capacity>::load(Rows<const double> origins, Rows<const double> directions, Index first, int count,
-                              int face) {
+void Packet::load(Rows<const double> origins, Rows<const double> directions, Index first, int count, int face) {
   count_ = count;
   face_ = face;
   const int per_chunk = chunk * group_size;
@@ -122,8 +120,7 @@ void PacketOf<Capacity>::load(Rows<const double> origins, Rows<const double> dir
 }
 
 /// Find the intervals that hold the rays, but for what is infinite or no number: a ray that has that hits no shape.
-template <int Capacity>
-void PacketOf<Capacity>::bound() {
+void Packet::bound() {
   for (int row = 0; row < 3; ++row) {
     const int axis = axis_[row];
     const bool negative = face_ >> (2 + axis) & 1;
@@ -168,8 +165,7 @@ void PacketOf<Capacity>::bound() {
   }
 }
 
-template <int Capacity>
-void PacketOf<Capacity>::span_fan() {
+void Packet::span_fan() {
   const int last = count_ - 1;
   double normal[3];
   double square = 0;
@@ -207,14 +203,12 @@ void PacketOf<Capacity>::span_fan() {
   fan_.rise = static_cast<float>(highest(rise)) * (1 + wider);
 }
 
-template <int Capacity>
-void PacketOf<Capacity>::limit(double range) {
+void Packet::limit(double range) {
   std::fill(range_, range_ + groups_ * group_size, range);
   std::fill(slot_, slot_ + groups_ * group_size, no_slot);
 }
 
-template <int Capacity>
-void PacketOf<Capacity>::hit_ground(double ground_m, double limit_m) {
+void Packet::hit_ground(double ground_m, double limit_m) {
   const int row = static_cast<int>(std::find(axis_, axis_ + 3, 2) - axis_);
   for (int n = 0; n < groups_ * group_size; n += group_size) {
     const Doubles far = (ground_m - simd::load<Doubles>(origin_[row] + n)) / simd::load<Doubles>(direction_[row] + n);
@@ -225,8 +219,7 @@ void PacketOf<Capacity>::hit_ground(double ground_m, double limit_m) {
 }
 
 /// Find how far boxes matter, and what turns each ray into an axis.
-template <int Capacity>
-void PacketOf<Capacity>::begin() {
+void Packet::begin() {
   std::fill(range_ + count_, range_ + groups_ * group_size, -1.0);  // the rest of a packet is nowhere
   std::fill(slot_ + count_, slot_ + groups_ * group_size, no_slot);
   for (int g = 0; g < groups_; g += chunk) {
@@ -244,8 +237,7 @@ void PacketOf<Capacity>::begin() {
 }
 
 /// Have boxes tested up to what the groups of a chunk have hit.
-template <int Capacity>
-void PacketOf<Capacity>::shorten(int first_group) {
+void Packet::shorten(int first_group) {
   double far[chunk];
   for (int g = 0; g < chunk; g += lanes<double>) {
     store(far + g, range_by_group(range_ + (first_group + g) * group_size));
@@ -261,8 +253,7 @@ void PacketOf<Capacity>::shorten(int first_group) {
 }
 
 /// Which children of a node the packet may be in, as bits, and from where on.
-template <int Capacity>
-unsigned PacketOf<Capacity>::enter(const Node& node, float slack_m, float* near) const {
+unsigned Packet::enter(const Node& node, float slack_m, float* near) const {
   unsigned found = 0;
   for (int c = 0; c < node_size; c += lanes<float>) {
     Floats enters{};
@@ -287,8 +278,7 @@ unsigned PacketOf<Capacity>::enter(const Node& node, float slack_m, float* near)
 }
 
 /// Which groups of a chunk may be in a box, as bits.
-template <int Capacity>
-unsigned PacketOf<Capacity>::groups_at(const Box& box, int g) const {
+unsigned Packet::groups_at(const Box& box, int g) const {
   Floats enters{};
   Floats leaves = simd::load<Floats>(group_most_ + g);
   for (int axis = 0; axis < 3; ++axis) {
@@ -303,8 +293,7 @@ unsigned PacketOf<Capacity>::groups_at(const Box& box, int g) const {
 }
 
 /// Keep a triangle where some groups of a chunk hit it first; returns whether any does.
-template <int Capacity>
-bool PacketOf<Capacity>::hit_triangle(const Shape& shape, double slot, double after, int first_group, unsigned which) {
+bool Packet::hit_triangle(const Shape& shape, double slot, double after, int first_group, unsigned which) {
   const auto [i, j, k] = axis_;
   const Vec3 a{shape[i], shape[j], shape[k]};
   const Vec3 b{shape[3 + i], shape[3 + j], shape[3 + k]};
@@ -363,9 +352,7 @@ bool PacketOf<Capacity>::hit_triangle(const Shape& shape, double slot, double af
 }
 
 /// The same of a sphere or a cylinder.
-template <int Capacity>
-bool PacketOf<Capacity>::hit_round(const Shape& shape, Kind kind, double slot, double after, int first_group,
-                                   unsigned which) {
+bool Packet::hit_round(const Shape& shape, Kind kind, double slot, double after, int first_group, unsigned which) {
   bool found = false;
   for (; which; which &= which - 1) {
     const int first = (first_group + std::countr_zero(which)) * group_size;
@@ -387,18 +374,15 @@ bool PacketOf<Capacity>::hit_round(const Shape& shape, Kind kind, double slot, d
   return found;
 }
 
-template <int Capacity>
-bool PacketOf<Capacity>::hit(const Shape& shape, Kind kind, double slot, double after, int first_group,
-                             unsigned which) {
+bool Packet::hit(const Shape& shape, Kind kind, double slot, double after, int first_group, unsigned which) {
   return kind == Kind::triangle ? hit_triangle(shape, slot, after, first_group, which)
                                 : hit_round(shape, kind, slot, after, first_group, which);
 }
 
 /// Visit the leaves that the packet may be in, nearest first: `visit(leaf)`. Returns false if it gives up after a
 /// number of nodes and leaves.
-template <int Capacity>
 template <class Visit>
-bool PacketOf<Capacity>::walk(const Bvh& bvh, Index most, Visit visit) {
+bool Packet::walk(const Bvh& bvh, Index most, Visit visit) {
   if (bvh.nodes.empty()) {
     return true;
   }
@@ -436,16 +420,14 @@ bool PacketOf<Capacity>::walk(const Bvh& bvh, Index most, Visit visit) {
 }
 
 /// Have rays that hit anything end before everything.
-template <int Capacity>
-void PacketOf<Capacity>::end_hit() {
+void Packet::end_hit() {
   for (int n = 0; n < groups_ * group_size; ++n) {
     range_[n] = slot_[n] >= 0 ? -1 : range_[n];
   }
 }
 
-template <int Capacity>
 template <bool Any>
-void PacketOf<Capacity>::hits(const Bvh& bvh, std::int32_t first_slot) {
+void Packet::hits(const Bvh& bvh, std::int32_t first_slot) {
   const Index most = count_ > 1 ? 128 + 12 * count_ : std::numeric_limits<Index>::max();
   const bool done = walk(bvh, most, [&](LeafCode leaf) {
     for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
@@ -468,19 +450,19 @@ void PacketOf<Capacity>::hits(const Bvh& bvh, std::int32_t first_slot) {
 }
 
 /// The same for packets of fewer rays: these are not near each other, so that they are faster alone.
-template <int Capacity>
 template <bool Any>
-void PacketOf<Capacity>::in_pieces(const Bvh& bvh, std::int32_t first_slot) {
-  double origins[3][Capacity];
-  double directions[3][Capacity];
+void Packet::in_pieces(const Bvh& bvh, std::int32_t first_slot) {
+  double origins[3][packet_size];
+  double directions[3][packet_size];
   for (int row = 0; row < 3; ++row) {
     std::copy(origin_[row], origin_[row] + count_, origins[axis_[row]]);
     std::copy(direction_[row], direction_[row] + count_, directions[axis_[row]]);
   }
-  const int size = count_ > packet_size ? packet_size : count_ > 4 ? 4 : 1;
-  PacketOf<packet_size> piece;
+  const int size = count_ > 4 ? 4 : 1;
+  Packet piece;
   for (int first = 0; first < count_; first += size) {
-    piece.load({origins[0], 3, Capacity}, {directions[0], 3, Capacity}, first, std::min(size, count_ - first), face_);
+    piece.load({origins[0], 3, packet_size}, {directions[0], 3, packet_size}, first, std::min(size, count_ - first),
+               face_);
     for (int n = 0; n < piece.count(); ++n) {
       piece.keep(n, range_[first + n], slot(first + n));
     }
@@ -495,28 +477,11 @@ void PacketOf<Capacity>::in_pieces(const Bvh& bvh, std::int32_t first_slot) {
   }
 }
 
-template <int Capacity>
-void PacketOf<Capacity>::first_hits(const Bvh& bvh, std::int32_t first_slot) {
-  hits<false>(bvh, first_slot);
-}
+void Packet::first_hits(const Bvh& bvh, std::int32_t first_slot) { hits<false>(bvh, first_slot); }
 
-template <int Capacity>
-void PacketOf<Capacity>::any_hits(const Bvh& bvh) {
-  hits<true>(bvh, 0);
-}
+void Packet::any_hits(const Bvh& bvh) { hits<true>(bvh, 0); }
 
-template <int Capacity>
-int PacketOf<Capacity>::any_hits(const Bvh& bvh, std::int32_t slot) {
-  begin();
-  for (int g = 0; g < groups_; g += chunk) {
-    hit(bvh.leaves[slot].shape, bvh.kind[slot], slot, ends, g, (1u << chunk) - 1);
-  }
-  end_hit();
-  return static_cast<int>(std::count_if(slot_, slot_ + count_, [](double one) { return one >= 0; }));
-}
-
-template <int Capacity>
-void PacketOf<Capacity>::list_near(const Bvh& bvh, std::vector<std::int32_t>& numbers) {
+void Packet::list_near(const Bvh& bvh, std::vector<std::int32_t>& numbers) {
   walk(bvh, std::numeric_limits<Index>::max(), [&](LeafCode leaf) {
     for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
       unsigned near = 0;
@@ -530,17 +495,13 @@ void PacketOf<Capacity>::list_near(const Bvh& bvh, std::vector<std::int32_t>& nu
   });
 }
 
-template <int Capacity>
-Vec3 PacketOf<Capacity>::vector(const Lanes (&rows)[3], int ray) const {
+Vec3 Packet::vector(const Lanes (&rows)[3], int ray) const {
   Vec3 out;
   for (int row = 0; row < 3; ++row) {
     out[axis_[row]] = rows[row][ray];
   }
   return out;
 }
-
-template class PacketOf<packet_size>;
-template class PacketOf<9 * packet_size>;
 
 Alike alike(Rows<const double> directions, Index first, Index end, int most) {
   const double* const x = directions[0].data();

@@ -4,8 +4,7 @@
 /// of a node at once, those of each group of rays for a shape. Shapes are tested in float64, by the same operations for
 /// every ray, so that what a ray hits does not depend on the rays that it travels with.
 ///
-/// Neighbouring rays should be neighbours in a packet. So are those of wide beams, several for each, beam after beam:
-/// in a `Packet` as those of thin beams, 32 at a time, they are fastest; a `WidePacket` holds all rays of 32 beams.
+/// Neighbouring rays should be neighbours in a packet; those of wide beams come beam after beam.
 #pragma once
 
 #include <cmath>
@@ -30,16 +29,15 @@ inline int facing(double dx, double dy, double dz) {
   return largest + 4 * (dx < 0) + 8 * (dy < 0) + 16 * (dz < 0);
 }
 
-/// Up to `Capacity` rays that face the same way.
+constexpr int packet_size = 32;
+
+/// Up to `packet_size` rays that face the same way.
 ///
 /// Load rays, say how far each may go by `limit` or `keep`, have them hit hierarchies in any order, read ranges and
 /// slots. Of two shapes at the same range the one of the lower slot is hit.
-template <int Capacity>
-class PacketOf {
+class Packet {
  public:
-  static constexpr int capacity = Capacity;
-
-  /// Load rays `first` to `first` + count of (3, N), which face the same way; count is 1 to `Capacity`.
+  /// Load rays `first` to `first` + count of (3, N), which face the same way; count is 1 to `packet_size`.
   void load(Rows<const double> origins, Rows<const double> directions, Index first, int count, int face);
 
   int count() const { return count_; }
@@ -64,9 +62,6 @@ class PacketOf {
   /// have a slot are done, and have range -1 from then on.
   void any_hits(const Bvh& bvh);
 
-  /// The same of one shape; returns how many rays have a slot then.
-  int any_hits(const Bvh& bvh, std::int32_t slot);
-
   /// Append the numbers of the shapes into whose boxes rays come before what they are known to hit.
   void list_near(const Bvh& bvh, std::vector<std::int32_t>& numbers);
 
@@ -78,9 +73,9 @@ class PacketOf {
  private:
   static constexpr int group_size = simd::lanes<double>;
   static constexpr int chunk = simd::lanes<float>;  // groups whose boxes are tested at once
-  static constexpr int most_groups = Capacity / group_size;
-  static_assert(Capacity % group_size == 0 && most_groups % chunk == 0);
-  using Lanes = double[Capacity];
+  static constexpr int most_groups = packet_size / group_size;
+  static_assert(packet_size % group_size == 0 && most_groups % chunk == 0);
+  using Lanes = double[packet_size];
   using Groups = float[most_groups];
 
   /// For boxes, along x, y and z: what to subtract from the side that is entered, or left, and what to multiply by.
@@ -139,13 +134,6 @@ class PacketOf {
   int groups_ = 0;  // a multiple of `chunk`
   bool sheared_;
 };
-
-constexpr int packet_size = 32;
-using Packet = PacketOf<packet_size>;
-using WidePacket = PacketOf<9 * packet_size>;
-
-extern template class PacketOf<packet_size>;
-extern template class PacketOf<9 * packet_size>;
 
 /// How many rays from `first` on, of (3, N), face the same way and so can be one packet of up to `most`.
 struct Alike {

@@ -59,7 +59,7 @@ class ShadowCaster {
   }
 
   Vec3 origin_{};
-  Packer<> packer_;  // of segments, whose numbers are row · 64 + bit
+  Packer packer_;  // of segments, whose numbers are row · 64 + bit
   std::vector<Occluders> occluders_ =
       std::vector<Occluders>(faces, no_occluders());  // slots of triangles that hid others; -1: none
   std::int64_t cast_count_ = 0;

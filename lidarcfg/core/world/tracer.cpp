@@ -24,7 +24,7 @@ void first_hits(const Bvh& bvh, Rows<const double> origins, Rows<const double> d
 }
 
 void any_hits(const Bvh& bvh, Rows<const double> origins, Rows<const double> directions, View<bool> hit) {
-  const auto packer = std::make_unique<Packer<>>();
+  const auto packer = std::make_unique<Packer>();
   const auto take = [&](Packet& packet, View<const Index> numbers) {
     packet.limit(1 - ends);
     packet.any_hits(bvh);

@@ -74,9 +74,7 @@ Vec3 World::normal(std::int32_t slot, const Vec3& origin, const Vec3& direction,
   return times(pose.R, normal_at(object.bvh.leaves[s].shape, object.bvh.kind[s], start, way, range_m));
 }
 
-template <int Capacity>
-void World::write(const PacketOf<Capacity>& packet, View<const double> seconds, View<const Index> rows,
-                  const Found& found) const {
+void World::write(const Packet& packet, View<const double> seconds, View<const Index> rows, const Found& found) const {
   const bool normals = !found.normal.empty();
   const bool cosines = !found.cosine.empty();
   for (int n = 0; n < packet.count(); ++n) {
@@ -144,8 +142,7 @@ void MovingTracer::during(double first_s, double last_s) {
   swept_ = build(shapes, std::vector<Kind>(count, Kind::instance), number, number);
 }
 
-template <int Capacity>
-void MovingTracer::hit(PacketOf<Capacity>& packet, View<const double> seconds) {
+void MovingTracer::hit(Packet& packet, View<const double> seconds) {
   near_.clear();
   packet.list_near(swept_, near_);
   for (const std::int32_t p : near_) {
@@ -153,8 +150,7 @@ void MovingTracer::hit(PacketOf<Capacity>& packet, View<const double> seconds) {
   }
 }
 
-template <int Capacity>
-void MovingTracer::hit_object(const Moving& object, PacketOf<Capacity>& packet, View<const double> seconds) {
+void MovingTracer::hit_object(const Moving& object, Packet& packet, View<const double> seconds) {
   const double radius_m = object.radius_m * larger + slack_m;
   const auto take = [&](Packet& brought, View<const Index> rays) {
     for (int n = 0; n < brought.count(); ++n) {
@@ -179,11 +175,6 @@ void MovingTracer::hit_object(const Moving& object, PacketOf<Capacity>& packet, 
   }
   packer_.finish(take);
 }
-
-template void World::write(const Packet&, View<const double>, View<const Index>, const Found&) const;
-template void World::write(const WidePacket&, View<const double>, View<const Index>, const Found&) const;
-template void MovingTracer::hit(Packet&, View<const double>);
-template void MovingTracer::hit(WidePacket&, View<const double>);
 
 void cast(const World& world, Rows<const double> origins, Rows<const double> directions, View<const double> seconds,
           double limit_m, const Found& found) {

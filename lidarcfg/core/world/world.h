@@ -56,9 +56,7 @@ class World {
   Vec3 normal(std::int32_t slot, const Vec3& origin, const Vec3& direction, double range_m, double seconds) const;
 
   /// Write what a packet's rays hit at times (count,) to rows (count,) of the columns that are asked for.
-  template <int Capacity>
-  void write(const PacketOf<Capacity>& packet, View<const double> seconds, View<const Index> rows,
-             const Found& found) const;
+  void write(const Packet& packet, View<const double> seconds, View<const Index> rows, const Found& found) const;
 
   std::int32_t object(std::int32_t slot) const;    // that a shape belongs to; 0: the ground, `no_object`: nothing
   std::int32_t triangle(std::int32_t slot) const;  // its number; `no_object`: the ground, or nothing
@@ -79,23 +77,16 @@ class MovingTracer {
   void during(double first_s, double last_s);
 
   /// Keep what a packet's rays hit at times (count,) where that is nearer than what they are known to hit.
-  template <int Capacity>
-  void hit(PacketOf<Capacity>& packet, View<const double> seconds);
+  void hit(Packet& packet, View<const double> seconds);
 
  private:
-  template <int Capacity>
-  void hit_object(const Moving& object, PacketOf<Capacity>& packet, View<const double> seconds);
+  void hit_object(const Moving& object, Packet& packet, View<const double> seconds);
 
   const World& world_;
   Bvh swept_;
   std::vector<std::int32_t> near_;
-  Packer<> packer_;
+  Packer packer_;
 };
-
-extern template void World::write(const Packet&, View<const double>, View<const Index>, const Found&) const;
-extern template void World::write(const WidePacket&, View<const double>, View<const Index>, const Found&) const;
-extern template void MovingTracer::hit(Packet&, View<const double>);
-extern template void MovingTracer::hit(WidePacket&, View<const double>);
 
 /// Find what rays (3, N) at times (N,) hit first within a limit; it is fastest for neighbours in succession.
 void cast(const World& world, Rows<const double> origins, Rows<const double> directions, View<const double> seconds,

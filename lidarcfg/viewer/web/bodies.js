@@ -82,7 +82,7 @@ export function region(study, colours) {
 export function bounds(study, colours) {
   const group = new Group();
   for (const { min_m, max_m } of study.bounds) group.add(box(min_m, max_m, "white"));
-  if (study.seats) group.add(body(study.seats, colours.seat, 0.6));
+  if (study.base_area) group.add(body(study.base_area, colours.base_area, 0.6));
   return group;
 }
 

@@ -8,9 +8,9 @@ import { AXES } from "lidarcfg/sensors";
 const PAUSE_MS = 150; // in a move, after which what takes long is asked for
 
 export class Handles {
-  constructor(stage, mounts, { mirrored: pairs, seated }, onMove, onHistory, onError) {
-    Object.assign(this, { stage, mounts, pairs, seated, onMove, selected: null, mirrors: true, drags: 0, wanted: null, pending: null });
-    this.seats = new Evaluator("place", () => this.asked(), ({ poses }) => this.sit(poses), onError);
+  constructor(stage, mounts, { mirrored: pairs, on_surface: onSurface }, onMove, onHistory, onError) {
+    Object.assign(this, { stage, mounts, pairs, onSurface, onMove, selected: null, mirrors: true, drags: 0, wanted: null, pending: null });
+    this.slider = new Evaluator("place", () => this.asked(), ({ poses }) => this.sit(poses), onError);
     this.start = mounts.map((mount) => mount.pose);
     this.history = new History(() => this.poses, (poses) => this.restore(poses), onHistory);
     this.controls = new TransformControls(stage.camera, stage.canvas);
@@ -42,9 +42,9 @@ export class Handles {
   // `step` names what is undone as one. The server says where a sensor goes that sits on a surface.
   move(mount, pose, step) {
     const index = this.mounts.indexOf(mount);
-    if (this.seated.includes(index)) {
+    if (this.onSurface.includes(index)) {
       this.wanted = { index, pose, step };
-      this.seats.ask();
+      this.slider.ask();
       return;
     }
     this.history.before(step);
@@ -54,7 +54,7 @@ export class Handles {
 
   // Where a sensor is, or is to go as soon as the server says how far.
   wish(mount) {
-    const waiting = this.seats.busy && this.mounts[this.wanted?.index] === mount;
+    const waiting = this.slider.busy && this.mounts[this.wanted?.index] === mount;
     return waiting ? this.wanted.pose : mount.pose;
   }
 
@@ -80,7 +80,7 @@ export class Handles {
   restore(poses) {
     this.wanted = null;
     this.pending = null;
-    this.seats.drop();
+    this.slider.drop();
     this.place(poses);
   }
 

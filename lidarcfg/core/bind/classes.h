@@ -1,0 +1,58 @@
+/// The classes that are bound. Objects of all others are taken by value, as `From` makes them.
+#pragma once
+
+namespace lidarcfg {
+
+namespace packets {
+template <class Maker>
+class BlockDecoder;
+namespace hesai {
+class Decoder;
+}
+}  // namespace packets
+
+namespace placement {
+class Grid;
+class ReturnCounter;
+class Scanner;
+struct TargetShape;
+class TrialEvaluator;
+class WorstSubspaces;
+}  // namespace placement
+
+namespace world {
+struct Bvh;
+class Path;
+class World;
+}  // namespace world
+
+namespace bind {
+
+template <class T>
+constexpr bool is_bound = false;
+
+template <class Maker>
+constexpr bool is_bound<packets::BlockDecoder<Maker>> = true;
+template <>
+constexpr bool is_bound<packets::hesai::Decoder> = true;
+template <>
+constexpr bool is_bound<placement::Grid> = true;
+template <>
+constexpr bool is_bound<placement::ReturnCounter> = true;
+template <>
+constexpr bool is_bound<placement::Scanner> = true;
+template <>
+constexpr bool is_bound<placement::TargetShape> = true;
+template <>
+constexpr bool is_bound<placement::TrialEvaluator> = true;
+template <>
+constexpr bool is_bound<placement::WorstSubspaces> = true;
+template <>
+constexpr bool is_bound<world::Bvh> = true;
+template <>
+constexpr bool is_bound<world::Path> = true;
+template <>
+constexpr bool is_bound<world::World> = true;
+
+}  // namespace bind
+}  // namespace lidarcfg

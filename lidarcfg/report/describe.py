@@ -1,0 +1,269 @@
+"""Rigs, studies and objects in words and tables, for reports."""
+
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+
+import numpy as np
+
+from lidarcfg import __version__
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.detection import DetectionObject, GapFit, Returns
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
+from lidarcfg.placement.study import Study
+from lidarcfg.placement.study_file import COORDINATES
+from lidarcfg.report.html import Table
+from lidarcfg.report.text import truncate
+from lidarcfg.sensors.rig import Rig
+
+PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")
+
+
+def date() -> str:
+    """Now in UTC, or the time in SOURCE_DATE_EPOCH. Raises ConfigError if that is not a time."""
+    seconds = os.environ.get("SOURCE_DATE_EPOCH")
+    if not seconds:
+        return f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+    try:
+        return f"{datetime.fromtimestamp(int(seconds), UTC):%Y-%m-%d %H:%M} UTC"
+    except (ValueError, OverflowError, OSError):
+        raise ConfigError(f"SOURCE_DATE_EPOCH: {seconds[:40]!r} is not a number of seconds since 1970") from None
+
+
+def versions() -> str:
+    """The versions of everything that a result may depend on."""
+    found = [f"lidarcfg {__version__}", f"Python {platform.python_version()}"]
+    for name in PACKAGES:
+        for distribution in (name, f"{name}-cpu"):
+            try:
+                found.append(f"{distribution} {metadata.version(distribution)}")
+            except metadata.PackageNotFoundError:
+                continue
+            break
+    return ", ".join(found) + f"; {platform.system()} {platform.machine()}"
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things: 1 beam, 2 beams."""
+    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
+
+
+def price(value: float) -> str:
+    """A price with all its figures."""
+    return f"{value:,.15g}"
+
+
+def vector(values: Sequence[float] | Array, form: str = "g") -> str:
+    """Numbers with commas between them, without negative zeros."""
+    return ", ".join(f"{value:z{form}}" for value in values)
+
+
+def beams(rig: Rig) -> int:
+    """The number of beams of all sensors."""
+    return sum(mount.sensor.count for mount in rig.mounts)
+
+
+def describe_rig(rig: Rig) -> str:
+    """The number of sensors of each model, and of beams."""
+    models = [mount.sensor.name for mount in rig.mounts]
+    kinds = ", ".join(f"{models.count(name)} × {name}" for name in dict.fromkeys(models))
+    return f"{counted(len(models), 'sensor')} ({kinds}), {counted(beams(rig), 'beam')}"
+
+
+def region_rows(region: Region) -> list[tuple[str, str]]:
+    """The region's extent, its cuboids and its exclusions."""
+    excluded = region.included.size - int(region.included.sum())
+    return [
+        ("region", f"from {vector(region.min_m)} to {vector(region.max_m)} m"),
+        ("cuboids", f"{' × '.join(map(str, region.shape))} of {' × '.join(f'{e:g}' for e in region.cuboid_m)} m"),
+        ("excluded", f"{excluded:,} of {region.included.size:,} cuboids"),
+    ]
+
+
+def describe_object(item: DetectionObject) -> str:
+    """An object's size, where it may be, and when it counts as detected."""
+    if item.returns:
+        return _by_returns(item)
+    where = "on the ground" if item.on_ground else "at all heights"
+    how = f"{counted(item.samples, 'position')} and headings drawn" if item.samples else "every position on the grid"
+    size = " × ".join(f"{edge:g}" for edge in item.box_m)
+    return f"{size} m, {where}, {how}; detected if in more than {counted(item.most_touched, 'subspace')}"
+
+
+def describe_hiding(hiding: Mapping[str, GapFit]) -> list[str]:
+    """A sentence for each object: whether it can be where no beam enters it, and where."""
+    return [
+        f"{truncate(name)} ({_size(found.size_m)}, {_heights(found)}) {_fits(found)}." for name, found in hiding.items()
+    ]
+
+
+def _size(size_m: Sequence[float]) -> str:
+    return " × ".join(f"{edge:g}" for edge in size_m) + " m"
+
+
+def _heights(found: GapFit) -> str:
+    return "on the ground" if found.on_ground else "at any height"
+
+
+def _fits(found: GapFit) -> str:
+    if found.nearest_at_m is None:
+        return "fits into no gap: wherever it is, a beam or the edge of a sensor's sight crosses it"
+    at = vector(found.nearest_at_m, ".1f")
+    where = f"the nearest place is {found.nearest_m:.1f} m from the midpoint of the sensors' bounds, at x, y = {at} m"
+    if found.in_worst:
+        others = f" and into {counted(found.subspaces - 1, 'other')}" if found.subspaces > 1 else ""
+        return f"fits unseen into the worst gap{others}; {where}"
+    return f"does not fit into the worst gap, but fits unseen into {counted(found.subspaces, 'other')}; {where}"
+
+
+def describe_returns(found: Returns) -> str:
+    """The number of returns, on average and in the worst phase."""
+    least = f"in the worst phase {found.mean_in_worst_phase:.1f}, rate {found.rate_in_worst_phase:.4f}"
+    return f"{found.mean:.1f} returns on average; {least}"
+
+
+def _by_returns(item: DetectionObject) -> str:
+    what = " × ".join(f"{edge:g}" for edge in item.box_m) + " m" if item.size_m else str(item.mesh)
+    headings = ", ".join(f"{angle:g}°" for angle in item.headings_deg or HEADINGS_DEG)
+    how = f"every {item.step_m or STEP_M:g} m, heading {headings}"
+    if item.samples:
+        how = f"{counted(item.samples, 'position')} and headings drawn"
+    return f"{what}, on the ground, {how}; detected by {counted(item.returns or 0, 'return')} or more in a revolution"
+
+
+def describe_objective(study: Study) -> str:
+    """The quantity that the search minimises."""
+    return "; ".join([_describe_terms(study), *_describe_robust(study)])
+
+
+def _describe_robust(study: Study) -> list[str]:
+    """The failures and errors that a rig must withstand."""
+    robust = study.robust
+    terms = []
+    if robust is None:
+        return []
+    if robust.lost:
+        terms.append(f"of the worst rig left when any {counted(robust.lost, 'LiDAR')} of {len(study.slots)} fail")
+    if robust.drawn:
+        sigmas = (robust.position_sigma_m or 0.0, "m"), (robust.angle_sigma_deg or 0.0, "°")
+        errors = " and ".join(f"{sigma:g} {unit}" for sigma, unit in sigmas if sigma)
+        rank = f"the {robust.drawn - robust.spare}-th smallest of {counted(robust.drawn, 'draw')}"
+        terms.append(f"with mounting errors of {errors} (standard deviation), {rank}")
+    return ["; or ".join(terms) + ("; the larger of both" if len(terms) > 1 else "")]
+
+
+def _describe_terms(study: Study) -> str:
+    """The terms of the objective."""
+    wanted = study.objective
+    if wanted.is_max_vsr:
+        weighted = ", times the weight of its zones" if study.zones else ""
+        return f"max VSR, the largest volume-to-surface ratio of all subspaces{weighted}"
+    terms = [] if wanted.max_vsr is None else [f"{wanted.max_vsr:g} × max VSR in metres"]
+    if wanted.inscribed_radius is not None:
+        terms.append(f"{wanted.inscribed_radius:g} × the radius of the largest sphere in a subspace, in metres")
+    if wanted.blind_volume is not None:
+        terms.append(f"{wanted.blind_volume:g} × the fraction of the region that no LiDAR sees")
+    if wanted.seen_by_two is not None:
+        terms.append(f"{wanted.seen_by_two:g} × the fraction that fewer than two LiDARs see")
+    if spot := wanted.blind_spot_m:
+        what = f"the blind spot's largest distance from the body, {spot.height_m:g} m above the ground, in metres"
+        terms.append(f"{spot.weight:g} × {what}")
+    terms += [f"{weight:g} × (1 − detection rate of {truncate(name)})" for name, weight in wanted.detection.items()]
+    return "the weighted mean of " + ", ".join(terms)
+
+
+def describe_skips(study: Study) -> str:
+    """When a search stops evaluating a trial early."""
+    wanted = study.objective
+    if study.solver.method == "cmaes":
+        return "This solver ranks its trials by their costs, so each is evaluated in full."
+    if wanted.is_max_vsr:
+        ends = "as soon as one of its subspaces is no better than the value it has to beat"
+    else:
+        ends = "as soon as the terms computed so far, with 0 for all others, reach the value it has to beat"
+    if study.robust:
+        ends += ", in as many of the rigs that it stands for as settle it"
+    some = " This solver begins with random trials and CMA-ES, which rank trials by cost: these are evaluated in full."
+    return f"A trial ends {ends}.{some if study.solver.method == 'auto' else ''}"
+
+
+def describe_limits(study: Study) -> str:
+    """The limits on the LiDARs' sight besides their beams; empty if there are none."""
+    if study.visibility is None:
+        return ""
+    what = ["their ranges"] * study.visibility.range
+    what += ["their horizontal fields of view"] * study.visibility.field_of_view
+    if study.visibility.blocks:
+        what += [f"the vehicle ({', '.join(map(truncate, study.vehicle.scene.names))})"] if study.vehicle else []
+        what += [f"the surroundings ({truncate(study.surroundings.file.name)})"] if study.surroundings else []
+    return ", ".join(what)
+
+
+def describe_constraints(study: Study) -> str:
+    """The constraints on every rig."""
+    limits = study.constraints
+    terms = [] if limits.max_tilt_deg == 180 else [f"every sensor's tilt at most {limits.max_tilt_deg:g}°"]
+    terms += [] if not limits.min_distance_m else [f"sensors at least {limits.min_distance_m:g} m apart"]
+    terms += ["bases wholly on their surfaces"] * any(slot.surface for slot in study.slots)
+    return "; ".join(["the bounds below", *terms])
+
+
+def describe_solver(study: Study) -> str:
+    """The method, its seed and its budget."""
+    solver = study.solver
+    budgets = [("cycles", solver.cycles), ("evaluations", solver.evaluations), ("seconds", solver.seconds)]
+    budget = " or ".join(f"{value:,} {name}" for name, value in budgets if value is not None)
+    bees = f", {solver.bees} bees" if solver.method == "abc" else ""
+    return f"{solver.method}{bees}, seed {solver.seed}, for {budget}"
+
+
+def bounds_table(study: Study) -> Table:
+    """The range of each coordinate of each sensor."""
+    rows = []
+    for slot, low, high, mirror in zip(study.slots, study.lower, study.upper, study.mirror, strict=True):
+        if not math.isnan(mirror):
+            rows.append([truncate(slot.name), slot.sensor.name, f"image in y = {mirror:g} m", *["–"] * 5])
+            continue
+        angles = np.degrees([low[3:], high[3:]])
+        pairs = [*zip(low[:3], high[:3], strict=True), *zip(*angles, strict=True)]
+        cells = [f"{a:.5g}" if a == b else f"{a:.5g} … {b:.5g}" for a, b in pairs]
+        if slot.surface:
+            cells[slot.surface.axis] = f"on {truncate(slot.surface.body.name)}, from {slot.surface.side}"
+            cells[3:5] = cells[3:5] if slot.surface.upright else ["normal"] * 2
+        rows.append([truncate(slot.name), slot.sensor.name, *cells])
+    head = ("sensor", "model", *(f"{c} ({'m' if i < 3 else '°'})" for i, c in enumerate(COORDINATES)))
+    return Table("Bounds of each sensor; a single number is fixed", head, rows, texts=(1,))
+
+
+def mounts_table(rig: Rig) -> Table:
+    """The poses, and each axis's angle from the vertical."""
+    rows = []
+    for i, (mount, lidar) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
+        tilt = math.degrees(math.acos(min(max(float(lidar.axis[2]), -1.0), 1.0)))
+        angles = np.degrees(mount.rpy_rad)
+        low = min(mount.sensor.beams.elevation_deg)
+        high = max(mount.sensor.beams.elevation_deg)
+        rows.append(
+            [
+                f"{i + 1} {truncate(mount.name)}",
+                mount.sensor.name,
+                f"{mount.sensor.count}",
+                f"{low:g} … {high:g}",
+                *(f"{v:z.3f}" for v in mount.position_m),
+                *(f"{v:z.2f}" for v in angles),
+                f"{tilt:.2f}",
+            ]
+        )
+    head = ("sensor", "model", "beams", "elevation (°)", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)")
+    return Table(
+        "Poses in the vehicle frame: x forward, y left, z up. The tilt is the axis's angle from the vertical.",
+        (*head, "tilt (°)"),
+        rows,
+        texts=(1,),
+    )

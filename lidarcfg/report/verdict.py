@@ -1,0 +1,181 @@
+"""A verdict as a table on the terminal and as JUnit's XML, and beside that of another rig."""
+
+import math
+from collections.abc import Sequence
+from xml.sax.saxutils import escape, quoteattr
+
+from rich.box import SIMPLE
+from rich.table import Column, Table
+
+from lidarcfg.report.text import terminal, truncate
+from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
+
+PASS, FAIL = "PASS", "FAIL"
+
+
+def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
+    """Print a line for each requirement, then what sampling cannot exclude, then the verdict.
+
+    `against`: that of another rig by the same requirements, whose margins are put beside.
+    """
+    others = ["margin of the other", "change"] if against else []
+    table = Table(
+        "verdict",
+        Column("requirement", overflow="fold"),
+        *(Column(name, justify="right") for name in ("demanded", "reached", "margin", *others)),
+        *(Column(name, justify="right") for name in ("worst at (m)", "heading", "from body")),
+        Column("sensors lost", overflow="fold"),
+        box=SIMPLE,
+    )
+    for n, one in enumerate(found.requirements):
+        beside = _beside(one, against.requirements[n]) if against else []
+        table.add_row(
+            PASS if one.passed else FAIL,
+            truncate(one.name),
+            f"{'≤' if one.at_most else '≥'} {quantity(one.demanded, one.unit)}",
+            quantity(one.reached, one.unit),
+            signed(one.margin, one.unit),
+            *beside,
+            *_worst_cells(one),
+            lost_sensors(one),
+        )
+    console = terminal()
+    console.print(table)
+    for line in remarks(found):
+        console.print(line)
+    console.print(conclusion(found))
+
+
+def conclusion(found: Verdict) -> str:
+    """The verdict in a sentence."""
+    failed = sum(not one.passed for one in found.requirements)
+    count = len(found.requirements)
+    if not failed:
+        return f"{PASS}: the rig meets {'its requirement' if count == 1 else f'all {count} requirements'}"
+    return f"{FAIL}: {failed} of {count} requirement{'s are' if count > 1 else ' is'} not met"
+
+
+def remarks(found: Verdict) -> list[str]:
+    """What a requirement's line of the table does not say."""
+    out = []
+    for one in found.requirements:
+        texts = list(one.notes)
+        if one.not_achievable:
+            texts.append(f"not achievable: {one.not_achievable}")
+        if one.fraction is not None:
+            texts.append(f"met at {one.fraction:.2%} of the base grid's positions")
+        if one.sampling:
+            texts.append(one.sampling.text)
+        out += [f"{truncate(one.name)}: {text}" for text in texts]
+    return out
+
+
+def quantity(value: float, unit: str) -> str:
+    """A figure with its unit."""
+    if not math.isfinite(value):
+        return "never" if value > 0 else "–"
+    number = f"{value:,.0f}" if unit in ("returns", "sensors") else f"{value:,.2f}" if unit else f"{value:,.6g}"
+    return f"{number} {unit}".rstrip()
+
+
+def signed(value: float, unit: str) -> str:
+    """A margin with its sign and unit."""
+    if not math.isfinite(value):
+        return "–"
+    return ("+" if value >= 0 else "−") + quantity(abs(value), unit)
+
+
+def worst_place(one: RequirementVerdict) -> str:
+    """Where it is closest to being missed."""
+    if one.worst is None:
+        return ""
+    at = f"x {one.worst.x_m:.2f}, y {one.worst.y_m:.2f} m"
+    if one.worst.heading_deg is not None:
+        at += f", heading {one.worst.heading_deg:.0f}°"
+    if one.worst.distance_m is not None:
+        at += f"; {one.worst.distance_m:.2f} m from the body"
+    return at
+
+
+def _worst_cells(one: RequirementVerdict) -> list[str]:
+    """The worst place for the table."""
+    worst = one.worst
+    if worst is None:
+        return ["", "", ""]
+    return [
+        f"{worst.x_m:.2f}, {worst.y_m:.2f}",
+        "" if worst.heading_deg is None else f"{worst.heading_deg:.0f}°",
+        "" if worst.distance_m is None else f"{worst.distance_m:.2f} m",
+    ]
+
+
+def lost_sensors(one: RequirementVerdict) -> str:
+    """The sensors that fail in the worst case, and those whose loss breaks the requirement."""
+    lost = ", ".join(truncate(name) for name in one.lost)
+    breaking = ", ".join(truncate(name) for name in one.breaking)
+    if not one.passed or not breaking:
+        return lost
+    return f"{lost}; each alone breaks it: {breaking}".removeprefix("; ")
+
+
+def _beside(one: RequirementVerdict, other: RequirementVerdict) -> list[str]:
+    """The other rig's margin, and what this rig's is more or less."""
+    change = one.margin - other.margin
+    if not math.isfinite(change):
+        word = "" if one.margin == other.margin else "better" if one.margin > other.margin else "worse"
+    else:
+        word = "the same" if change == 0 else f"{signed(change, one.unit)} {'better' if change > 0 else 'worse'}"
+    return [f"{signed(other.margin, one.unit)} {PASS if other.passed else FAIL}", word]
+
+
+def junit(found: Verdict, name: str) -> str:
+    """The verdict as the XML that JUnit writes and CI servers read: a test case a requirement."""
+    failed = sum(not one.passed for one in found.requirements)
+    counts = f'tests="{len(found.requirements)}" failures="{failed}" errors="0" skipped="0"'
+    lines = ['<?xml version="1.0" encoding="utf-8"?>', "<testsuites>", f"  <testsuite name={_quoted(name)} {counts}>"]
+    for one in found.requirements:
+        said = f"demanded {'at most' if one.at_most else 'at least'} {quantity(one.demanded, one.unit)}"
+        said += f", reached {quantity(one.reached, one.unit)}"
+        details = [said, worst_place(one), f"lost: {lost_sensors(one)}" if one.lost else ""]
+        details += [one.sampling.text] if one.sampling else []
+        text = escape(xml_text("\n".join(line for line in details if line)))
+        lines.append(f'    <testcase classname="requirements" name={_quoted(one.name)}>')
+        if one.passed:
+            lines.append(f"      <system-out>{text}</system-out>")
+        else:
+            lines.append(f'      <failure message={_quoted(said)} type="requirement">{text}</failure>')
+        lines.append("    </testcase>")
+    return "\n".join([*lines, "  </testsuite>", "</testsuites>", ""])
+
+
+def _quoted(text: str) -> str:
+    """A text as an attribute's value."""
+    return quoteattr(xml_text(text))
+
+
+def xml_text(text: str) -> str:
+    """A text without the characters that XML 1.0 cannot hold."""
+    return "".join(
+        c if c in "\t\n\r" or " " <= c <= "\ud7ff" or "\ue000" <= c <= "\ufffd" or c > "\uffff" else "\ufffd"
+        for c in text
+    )
+
+
+def verdict_dict(found: Verdict, against: Verdict | None = None, names: Sequence[str] = ()) -> dict[str, object]:
+    """The verdict as a JSON object, with that of another rig; `names`: of the rigs."""
+    out: dict[str, object] = {"rig": names[0] if names else "", **found.to_dict()}
+    if against:
+        changes = []
+        for one, other in zip(found.requirements, against.requirements, strict=True):
+            change = one.margin - other.margin
+            changes.append(
+                {
+                    "name": one.name,
+                    "pass": one.passed,
+                    "pass_against": other.passed,
+                    "change": change if math.isfinite(change) else None,
+                }
+            )
+        out["against"] = {"rig": names[1] if len(names) > 1 else "", **against.to_dict()}
+        out["changes"] = changes
+    return out

@@ -1,0 +1,75 @@
+"""Footprints, that is projections on the ground: of a vehicle's bodies and of objects, and distances between them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from lidarcfg import maths
+from lidarcfg.geometry import Array
+from lidarcfg.world.meshes import Mesh
+
+GRID_M = 1e-6  # to which corners are rounded, so that neighbouring triangles join
+FLAT_M2 = 1e-12  # a triangle that is smaller from above is upright
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """The union of a mesh's projections on the ground; concave outlines are kept, holes are filled."""
+
+    shape: BaseGeometry  # polygons; lines or points where nothing has an area from above
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> "Footprint":
+        """The footprint of vertices (V, 3) and triangles (T, 3)."""
+        corners = mesh[0][mesh[1]][:, :, :2]
+        first = corners[:, 1] - corners[:, 0]
+        second = corners[:, 2] - corners[:, 0]
+        area_m2 = 0.5 * abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+        solid = corners[area_m2 > FLAT_M2]
+        if not len(solid):
+            return cls(shapely.MultiPoint(corners.reshape(-1, 2)).convex_hull)
+        joined = shapely.union_all(shapely.polygons(solid), grid_size=GRID_M)
+        outer = [shapely.Polygon(part.exterior) for part in shapely.get_parts(joined)]
+        return cls(shapely.unary_union(outer))
+
+    @cached_property
+    def outlines_m(self) -> tuple[Array, ...]:
+        """The corners (n, 2) of each part's outline; the first is repeated at the end."""
+        return tuple(shapely.get_coordinates(part) for part in shapely.get_parts(self.shape))
+
+    @cached_property
+    def radius_m(self) -> float:
+        """The greatest distance of a corner from the origin."""
+        return float(np.linalg.norm(shapely.get_coordinates(self.shape), axis=1).max())
+
+    @cached_property
+    def bounds_m(self) -> tuple[Array, Array]:
+        """(2,) each: the lower and the upper corner of the bounding box."""
+        low_high = np.array(self.shape.bounds)
+        return low_high[:2], low_high[2:]
+
+    @property
+    def middle_m(self) -> Array:
+        """(2,) the middle of the bounding box."""
+        low, high = self.bounds_m
+        return np.asarray((low + high) / 2)
+
+    def to_points_m(self, points_m: Array) -> Array:
+        """(P,) distances of points (P, 2); 0 inside."""
+        return np.asarray(shapely.distance(self.shape, shapely.points(points_m)))
+
+    def to_objects_m(self, footprint: "Footprint", places: Array) -> Array:
+        """(P,) distances of an object's footprint at places (P, 4): x, y, z, heading in radians; 0 where they meet."""
+        if not len(places):
+            return np.empty(0)
+        cos, sin = maths.cos(places[:, 3]), maths.sin(places[:, 3])
+        R = np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
+        found = np.full(len(places), np.inf)
+        for outline in footprint.outlines_m:
+            corners = np.einsum("pij,vj->pvi", R, outline) + places[:, None, :2]
+            made = shapely.polygons(corners) if len(outline) > 3 else shapely.linestrings(corners)
+            found = np.minimum(found, shapely.distance(self.shape, made))
+        return found

@@ -1,0 +1,364 @@
+"""Whether an object gets its returns wherever it stands in a zone, also with sensors lost or mounts a little off."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.requirements.places import FINEST_M, FINEST_RAD, Stand
+from lidarcfg.requirements.robustness import Robust
+from lidarcfg.requirements.sensors import (
+    KeptCounts,
+    OnPlaces,
+    lowest_at,
+    misplaced,
+    no_progress,
+    poses_of,
+    scanners_of,
+)
+from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.simulate.returns import ClusterRule, Lowest, Target, count_clusters
+from lidarcfg.world.obstacles import Obstacles
+
+LOWEST = 128  # places, around which others are tried
+ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
+CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
+CAP_FACTOR = 4  # by which the cap grows then
+CAP_MAX = 1 << 23
+JOINT_MAX = 256  # combinations of phases that are all tried for clusters
+LOW_M = 0.1  # above the ground: a cluster has a point at least so high
+
+Counts = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ObjectRequirement:
+    """An object gets so many returns wherever it stands in a zone."""
+
+    name: str
+    target: Target
+    stand: Stand
+    returns: int
+    sensors: int | None = None  # so many sensors get them, each alone; None: all together
+    at_least: float = 1.0  # fraction of the base grid's positions, each at its worst heading
+    lost: int = 0  # sensors that fail
+    cluster_m: float | None = None  # they are of one cluster with this tolerance
+
+    @property
+    def wanted(self) -> int:
+        """How many sensors with more returns than matter make the others' counts needless."""
+        return max(self.lost, 1) + (self.sensors or 1)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The returns at P places that count, in the worst phases, with the sensors lost whose loss is the worst."""
+
+    places: Array  # (P, 4)
+    values: Counts  # (P,) exact where below the cap
+    lowest: Lowest  # each sensor's counts; for clusters no counts
+
+    def joined(self, other: "Measured") -> "Measured":
+        """With those at other places."""
+        return Measured(
+            np.concatenate([self.places, other.places]),
+            np.concatenate([self.values, other.values]),
+            Lowest(
+                np.concatenate([self.lowest.counts, other.lowest.counts]),
+                np.concatenate([self.lowest.phases, other.lowest.phases]),
+            ),
+        )
+
+    def lost(self, at: int, item: ObjectRequirement) -> list[int]:
+        """The sensors that are lost in the worst case at a place."""
+        if item.cluster_m is not None:
+            return np.flatnonzero(self.lowest.phases[at] < 0).tolist()
+        counts = self.lowest.counts[at]
+        gone = np.argsort(-counts, kind="stable")[: item.lost]
+        return sorted(gone[counts[gone] > 0].tolist())  # to lose one that sees nothing changes nothing
+
+    def some(self, which: NDArray[np.intp]) -> "Measured":
+        """Those at some of the places."""
+        lowest = Lowest(self.lowest.counts[which], self.lowest.phases[which])
+        return Measured(self.places[which], self.values[which], lowest)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What was measured of a rig."""
+
+    base: Measured
+    every: Measured  # with the refined places
+    finest_m: float
+    finest_rad: float
+
+
+def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts:
+    """(P,) the sum of counts (P, S) without the `lost` largest; or, of those left, the `sensors`-th largest."""
+    ordered = -np.sort(-np.maximum(counts, 0).astype(np.int64), axis=1)
+    if sensors is None:
+        return np.asarray(ordered[:, lost:].sum(axis=1))
+    return ordered[:, lost + sensors - 1] if lost + sensors <= counts.shape[1] else np.zeros(len(counts), np.int64)
+
+
+class ObjectJudge:
+    """Judges rig after rig by one such requirement; what is known of sensors at their latest poses is kept."""
+
+    def __init__(self, item: ObjectRequirement, obstacles: Obstacles, robust: Robust | None = None) -> None:
+        self.item = item
+        self.places = item.stand.base  # (P, 4) the base grid's
+        self._obstacles = obstacles
+        self._robust = robust if robust and robust.drawn else None
+        self._kept = KeptCounts(self.places, item.target, obstacles)
+
+    @property
+    def work(self) -> int:
+        """The number of places at which rigs are measured, for progress."""
+        return len(self.places) * (1 + (self._robust.drawn if self._robust else 0))
+
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
+        """The verdict on a rig."""
+        item = self.item
+        cap = max(2 * item.returns, CAP_MIN)
+        tried = self._tried(mounts, cap, on_places)
+        while self._worst(tried)[1] >= cap and cap < CAP_MAX:
+            cap *= CAP_FACTOR
+            tried = self._tried(mounts, cap, no_progress)
+        at, value = self._worst(tried)
+        counted = tried.base if item.at_least < 1 else tried.every
+        found, notes = mounts, []
+        if self._robust:
+            draws = self._drawn(mounts, tried, cap, on_places)
+            number = sorted(range(len(draws)), key=lambda n: -draws[n][2])[self._robust.drawn - 1 - self._robust.spare]
+            if draws[number][2] < value:
+                counted, at, value = draws[number]
+                quantile = f"{self._robust.quantile:g} quantile of {self._robust.drawn} draws"
+                notes.append(
+                    f"with mounting errors, in the {quantile}; the rig as it is reaches {self._worst(tried)[1]}"
+                )
+                found = misplaced(mounts, self._robust.errors(len(mounts))[number])
+        if item.cluster_m is not None:
+            notes.append(self._phases_note(mounts))
+        place = counted.places[at]
+        distance_m = float(item.stand.distance_m(place[None])[0])
+        return RequirementVerdict(
+            name=item.name,
+            kind="object",
+            passed=value >= item.returns,
+            unit="returns",
+            demanded=item.returns,
+            reached=value,
+            at_most=False,
+            shortfall=self._shortfall(tried, value, len(mounts)),
+            worst=WorstPlace(
+                x_m=float(place[0]),
+                y_m=float(place[1]),
+                heading_deg=math.degrees(place[3]) % 360,
+                distance_m=distance_m if math.isfinite(distance_m) else None,
+            ),
+            phases=tuple(counted.lowest.phases[at].tolist()),
+            lost=tuple(found[n].name for n in counted.lost(at, item)),
+            breaking=self._breaking(tried, mounts),
+            fraction=self._fraction(tried.base) if item.at_least < 1 else None,
+            sampling=Sampling(
+                places=len(tried.every.places),
+                base_m=(item.stand.near_step_m, item.stand.far_step_m),
+                finest_m=tried.finest_m,
+                finest_deg=math.degrees(tried.finest_rad),
+            ),
+            notes=tuple(notes),
+        )
+
+    def measured(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Measured:
+        """What a rig reaches at the base grid's places, exact below the cap."""
+        if self.item.cluster_m is not None:
+            return self._clusters(self.places, mounts, cap, on_places)
+        lowest = self._kept.lowest(mounts, cap, self.item.wanted, on_places)
+        return Measured(self.places, reached(lowest.counts, self.item.lost, self.item.sensors), lowest)
+
+    def measured_at(self, places: Array, mounts: Sequence[Mount], cap: int) -> Measured:
+        """The same at other places (P, 4)."""
+        item = self.item
+        if item.cluster_m is not None:
+            return self._clusters(places, mounts, cap)
+        lowest = lowest_at(places, item.target, mounts, self._obstacles, cap, item.wanted)
+        return Measured(places, reached(lowest.counts, item.lost, item.sensors), lowest)
+
+    def _clusters(
+        self,
+        places: Array,
+        mounts: Sequence[Mount],
+        cap: int,
+        on_places: OnPlaces = no_progress,
+        lost: int | None = None,
+    ) -> Measured:
+        item = self.item
+        assert item.cluster_m
+        scanners = scanners_of(mounts)
+        lowest = count_clusters(
+            places,
+            item.target,
+            scanners,
+            poses_of(mounts),
+            self._obstacles,
+            ClusterRule(item.cluster_m, item.stand.ground_m + LOW_M),
+            item.lost if lost is None else lost,
+            item.sensors or 0,
+            math.prod(one.phases for one in scanners) <= JOINT_MAX,
+            cap,
+            on_places,
+        )
+        return Measured(places, lowest.counts[:, 0].astype(np.int64), lowest)
+
+    def _phases_note(self, mounts: Sequence[Mount]) -> str:
+        """How phases were combined for clusters."""
+        count = math.prod(one.phases for one in scanners_of(mounts))
+        if self.item.sensors:
+            return "clusters of each sensor alone, in each of its phases"
+        if count <= JOINT_MAX:
+            return f"clusters in all {count} combinations of the sensors' phases"
+        what = f"clusters with each sensor in the phase of its fewest returns, as there are {count:,} combinations"
+        return f"{what} of phases; others may give smaller ones"
+
+    def _number(self, values: Counts) -> Counts:
+        """The values of the best positions, as many as the fraction asks for; all places without one."""
+        if self.item.at_least == 1:
+            return values
+        by_position = np.sort(positions(self.places, values)[1])[::-1]
+        return by_position[: math.ceil(self.item.at_least * len(by_position) - 1e-9)]
+
+    def _worst(self, tried: Tried) -> tuple[int, int]:
+        """The place that decides, and what is reached there: the lowest, or that of the fraction asked for."""
+        if self.item.at_least == 1:
+            at = int(tried.every.values.argmin())
+            return at, int(tried.every.values[at])
+        return self._worst_of_base(tried.base)
+
+    def _worst_of_base(self, base: Measured) -> tuple[int, int]:
+        value = int(self._number(base.values).min())
+        if self.item.at_least == 1:
+            return int(base.values.argmin()), value
+        worst, by_position = positions(base.places, base.values)
+        return int(worst[np.flatnonzero(by_position == value)[0]]), value
+
+    def _fraction(self, base: Measured) -> float:
+        """Of the base grid's positions, how many reach what is demanded."""
+        return float(np.mean(positions(base.places, base.values)[1] >= self.item.returns))
+
+    def _drawn(
+        self, mounts: Sequence[Mount], tried: Tried, cap: int, on_places: OnPlaces
+    ) -> list[tuple[Measured, int, int]]:
+        """For each draw of mounting errors what was measured, the place that decides and what is reached there."""
+        assert self._robust
+        refined = tried.every.places[len(tried.base.places) :]
+        refined = refined[_lowest(tried.every.values[len(tried.base.places) :])]
+        out = []
+        for errors in self._robust.errors(len(mounts)):
+            off = misplaced(mounts, errors)
+            measured = self.measured(off, cap, on_places)
+            if self.item.at_least == 1 and len(refined):
+                measured = measured.joined(self.measured_at(np.ascontiguousarray(refined), off, cap))
+            if self.item.at_least == 1:
+                at = int(measured.values.argmin())
+                out.append((measured, at, int(measured.values[at])))
+            else:
+                out.append((measured, *self._worst_of_base(measured)))
+        return out
+
+    def _shortfall(self, tried: Tried, value: int, sensors: int) -> float:
+        """The mean over places and cases of failure of what is missing, as a fraction; 0 only where it is met."""
+        item = self.item
+        if item.cluster_m is not None:
+            gots = [tried.base.values]
+        else:
+            counts = tried.base.lowest.counts
+            gots = [reached(counts[:, kept], 0, item.sensors) for kept in cases(sensors, item.lost)]
+        missing = [np.maximum(1 - self._number(got) / item.returns, 0).mean() for got in gots]
+        short = float(np.mean(missing))
+        if value < item.returns and short == 0:  # at a refined place, or with mounting errors alone
+            short = (1 - value / item.returns) / (len(self.places) + 1)
+        return short
+
+    def _breaking(self, tried: Tried, mounts: Sequence[Mount]) -> tuple[str, ...]:
+        """The sensors of which each alone, if it fails, breaks the requirement."""
+        item = self.item
+        counted = tried.base if item.at_least < 1 else tried.every
+        lowest = counted.some(_lowest(counted.values))
+        out = []
+        for n, mount in enumerate(mounts) if len(mounts) > 1 else ():
+            kept = [other for other in range(len(mounts)) if other != n]
+            if item.cluster_m is not None:
+                left = [mounts[other] for other in kept]
+                values = self._clusters(lowest.places, left, max(item.returns, 1), lost=0).values
+                broken = bool((values < item.returns).any())
+            else:
+                broken = bool(
+                    (self._number(reached(counted.lowest.counts[:, kept], 0, item.sensors)) < item.returns).any()
+                )
+            if broken:
+                out.append(mount.name)
+        return tuple(out)
+
+    def _tried(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces) -> Tried:
+        """The base grid's counts, and those at places between, around the lowest, down to the finest spacing."""
+        stand = self.item.stand
+        base = every = self.measured(mounts, cap, on_places)
+        seen: set[tuple[int, ...]] = set()
+        step_m = stand.far_step_m
+        turns = np.diff(stand.headings_rad)
+        step_rad = float(turns.min()) if len(turns) else 0.0
+        while step_m > FINEST_M or step_rad > FINEST_RAD:
+            step_m = step_m / 2 if step_m > 2 * FINEST_M else min(step_m, FINEST_M)
+            step_rad = step_rad / 2 if step_rad > 2 * FINEST_RAD else min(step_rad, FINEST_RAD)
+            every = self._with_neighbours(every, _lowest(every.values), step_m, step_rad, seen, mounts, cap)
+        for _ in range(ROUNDS_MAX):  # until all neighbours of the lowest are known
+            least = every.values.min()
+            more = self._with_neighbours(
+                every, np.flatnonzero(every.values == least)[:LOWEST], step_m, step_rad, seen, mounts, cap
+            )
+            settled = len(more.places) == len(every.places)
+            every = more
+            if settled:
+                break
+        return Tried(base, every, step_m, step_rad)
+
+    def _with_neighbours(
+        self,
+        tried: Measured,
+        centres: NDArray[np.intp],
+        step_m: float,
+        step_rad: float,
+        seen: set[tuple[int, ...]],
+        mounts: Sequence[Mount],
+        cap: int,
+    ) -> Measured:
+        """With the neighbours, at these spacings, of some of the places, as far as they are new and in the zone."""
+        fresh = self.item.stand.around(tried.places[centres], step_m, step_rad, seen)
+        return tried.joined(self.measured_at(fresh, mounts, cap)) if len(fresh) else tried
+
+
+def positions(places: Array, values: Counts) -> tuple[NDArray[np.intp], Counts]:
+    """(n,) each: the place of the lowest value at each position, over headings, and that value."""
+    order = np.lexsort((values, places[:, 1], places[:, 0]))
+    at = places[order, :2]
+    first = np.ones(len(at), np.bool_)
+    first[1:] = (at[1:] != at[:-1]).any(axis=1)
+    return order[first], values[order[first]]
+
+
+def cases(sensors: int, lost: int) -> list[list[int]]:
+    """The sensors that are left: all of them, then those of each case of failure."""
+    whole = list(range(sensors))
+    ways = combinations(whole, lost) if lost else ()
+    return [whole, *([n for n in whole if n not in gone] for gone in ways)]
+
+
+def _lowest(values: Counts) -> NDArray[np.intp]:
+    """The numbers of the lowest values."""
+    count = min(LOWEST, len(values))
+    return np.argpartition(values, count - 1)[:count] if count else np.empty(0, np.intp)

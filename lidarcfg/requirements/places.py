@@ -1,0 +1,186 @@
+"""The places at which an object must be seen: a base grid in a zone, and places between around some of them."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg import maths
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
+from lidarcfg.requirements.footprint import Footprint
+
+NEAR_M = 5.0  # from the body: as far out places lie at most half the object's least width apart
+STEP_M = 0.5  # between places farther out, unless the requirement says otherwise; or half the width if that is more
+FINEST_M = 0.025  # between refined places: at 0.1 m minima are missed by up to 14 returns, at 0.03 m by 1
+FINEST_RAD = math.radians(15)  # between refined headings
+LEAST_STEP_M = 0.02  # in a zone that holds no place of a coarser grid
+PLACES_MAX = 5_000_000
+PLACE_BYTES = 300  # of memory, while they are found
+KEYS_PER_UNIT = 1e6  # metres and radians, by which places are told apart
+FIT_M = 1e-9  # by which an object may reach over the zone's side, for rounding
+
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Where an object may stand: within distances of the body and in a sector, or in a box; never in the body."""
+
+    body: Footprint | None = None
+    within_m: tuple[float, float] | None = None  # least, greatest distance from the body
+    sector_rad: tuple[float, float] | None = None  # from, to, counter-clockwise from ahead, about the body's middle
+    box_m: tuple[Array, Array] | None = None  # (2,) each: corners of what wholly contains the object
+
+    def allows(self, at_m: Array) -> Flags:
+        """(P,) which positions (P, 2) are in the sector."""
+        if self.sector_rad is None or self.body is None:
+            return np.ones(len(at_m), np.bool_)
+        first, last = self.sector_rad
+        x, y = (at_m - self.body.middle_m).T
+        return np.asarray(np.mod(maths.atan2(y, x) - first, 2 * math.pi) <= last - first + 1e-12)
+
+
+@dataclass(frozen=True)
+class Stand:
+    """An object that may stand in a zone at some headings."""
+
+    zone: Zone
+    footprint: Footprint  # of the object at heading 0, about its place
+    headings_rad: Array  # (H,)
+    ground_m: float  # height in the vehicle frame
+    step_m: float | None = None  # between places, at most
+
+    @property
+    def width_m(self) -> float:
+        """The least width of the object's bounding box."""
+        low, high = self.footprint.bounds_m
+        return float((high - low).min())
+
+    @cached_property
+    def near_step_m(self) -> float:
+        """Between places near the body."""
+        return min(self.width_m / 2, self.far_step_m)
+
+    @cached_property
+    def far_step_m(self) -> float:
+        """Between places farther out."""
+        return self.step_m or max(STEP_M, self.width_m / 2)
+
+    def distance_m(self, places: Array) -> Array:
+        """(P,) the object's distances from the body at places (P, 4); inf without a body."""
+        body = self.zone.body
+        return body.to_objects_m(self.footprint, places) if body else np.full(len(places), np.inf)
+
+    def holds(self, places: Array) -> Flags:
+        """(P,) whether places (P, 4) are in the zone and do not overlap the body."""
+        zone, body = self.zone, self.zone.body
+        kept = zone.allows(places[:, :2])
+        if zone.box_m is not None:
+            low, high = self._reach_m(places[:, 3])
+            kept &= (places[:, :2] + low >= zone.box_m[0] - FIT_M).all(axis=1)
+            kept &= (places[:, :2] + high <= zone.box_m[1] + FIT_M).all(axis=1)
+        if body is None:
+            return kept
+        least_m, most_m = zone.within_m or (0.0, math.inf)
+        some = np.flatnonzero(kept)
+        middle_m = np.full(len(places), np.nan)
+        middle_m[some] = body.to_points_m(places[some, :2])
+        radius_m = self.footprint.radius_m
+        kept[some] = (middle_m[some] - radius_m <= most_m) & (middle_m[some] + radius_m >= least_m)
+        unsure = np.flatnonzero(kept & ~((middle_m - radius_m > least_m) & (middle_m + radius_m <= most_m)))
+        exact = self.distance_m(places[unsure])
+        kept[unsure] = (exact > 0) & (exact >= least_m - FIT_M) & (exact <= most_m + FIT_M)
+        return kept
+
+    def _reach_m(self, headings_rad: Array) -> tuple[Array, Array]:
+        """(P, 2) each: the lower and the upper corner of the object's bounds at some headings, about its place."""
+        corners = np.concatenate(self.footprint.outlines_m)
+        values, index = np.unique(headings_rad, return_inverse=True)
+        low, high = np.empty((len(values), 2)), np.empty((len(values), 2))
+        for n, heading in enumerate(values):
+            c, s = maths.cos(heading), maths.sin(heading)
+            turned = corners @ np.array([[c, s], [-s, c]])
+            low[n], high[n] = turned.min(axis=0), turned.max(axis=0)
+        return low[index], high[index]
+
+    @cached_property
+    def base(self) -> Array:
+        """(P, 4) x, y, the ground's z and the heading of the base grid's places. Raises ConfigError if none is free."""
+        near_m, far_m = self.near_step_m, self.far_step_m
+        while True:
+            found = self._grid(near_m, far_m)
+            if len(found):
+                return found
+            if far_m <= LEAST_STEP_M:
+                raise ConfigError("the object fits nowhere in this zone beside the body; widen the zone")
+            near_m, far_m = max(near_m / 2, LEAST_STEP_M), max(far_m / 2, LEAST_STEP_M)
+
+    def _grid(self, near_m: float, far_m: float) -> Array:
+        """(P, 4) the places of a grid of these spacings near the body and farther out."""
+        body = self.zone.body
+        if body is None or near_m == far_m:
+            at = self._lattice(*self._bounds_m(), far_m)
+        else:
+            reach_m = NEAR_M + self.footprint.radius_m
+            low, high = self._bounds_m()
+            near = self._lattice(
+                np.maximum(low, body.bounds_m[0] - reach_m), np.minimum(high, body.bounds_m[1] + reach_m), near_m
+            )
+            far = self._lattice(low, high, far_m)
+            at = np.concatenate(
+                [near[body.to_points_m(near) <= reach_m], far[body.to_points_m(far) > reach_m]],
+            )
+        places = self._at_headings(at)
+        return np.ascontiguousarray(places[self.holds(places)])
+
+    def _lattice(self, low: Array, high: Array, step_m: float) -> Array:
+        """(n, 2) positions of a grid from low to high; it goes through the box's middle, or the vehicle's origin."""
+        middle = np.zeros(2) if self.zone.box_m is None else (self.zone.box_m[0] + self.zone.box_m[1]) / 2
+        numbers = np.stack([np.ceil((low - middle) / step_m - FIT_M), np.floor((high - middle) / step_m + FIT_M) + 1])
+        count = math.prod(np.maximum(numbers[1] - numbers[0], 0).tolist()) * len(self.headings_rad)
+        advice = "give a larger step_m, a smaller zone, or fewer headings_deg"
+        if count > PLACES_MAX:
+            raise ConfigError(f"{count:,.0f} places; allowed: at most {PLACES_MAX:,}; {advice}")
+        check_memory(f"a grid of {count:,.0f} places", PLACE_BYTES * count, advice)
+        x, y = (middle[axis] + step_m * np.arange(*numbers[:, axis]) for axis in (0, 1))
+        return np.stack(np.broadcast_arrays(x[:, None], y), axis=-1).reshape(-1, 2)
+
+    def _bounds_m(self) -> tuple[Array, Array]:
+        """(2,) each: corners of a box that holds all places."""
+        if self.zone.box_m is not None:
+            return self.zone.box_m
+        assert self.zone.body is not None
+        assert self.zone.within_m is not None
+        low, high = self.zone.body.bounds_m
+        reach_m = self.zone.within_m[1] + self.footprint.radius_m
+        return low - reach_m, high + reach_m
+
+    def _at_headings(self, at_m: Array) -> Array:
+        """(P · H, 4) places at positions (P, 2) and at all headings."""
+        shape = len(at_m), len(self.headings_rad)
+        columns = at_m[:, :1], at_m[:, 1:], self.ground_m, self.headings_rad
+        return np.stack([np.broadcast_to(column, shape).ravel() for column in columns], axis=1)
+
+    def around(self, places: Array, step_m: float, step_rad: float, seen: set[tuple[int, ...]]) -> Array:
+        """(n, 4) the neighbours of places (P, 4) at these spacings that are in the zone and not in `seen`.
+
+        They are added to it.
+        """
+        steps = (-step_m, 0.0, step_m)
+        turns = (-step_rad, 0.0, step_rad) if step_rad else (0.0,)
+        offsets = np.array([(x, y, 0.0, turn) for x, y, turn in product(steps, steps, turns)])
+        found = (places[:, None] + offsets).reshape(-1, 4)
+        found[:, 3] %= 2 * math.pi
+        keys = np.rint(found[:, [0, 1, 3]] * KEYS_PER_UNIT).astype(np.int64).tolist()
+        fresh = []
+        for number, key in enumerate(map(tuple, keys)):
+            if key not in seen:
+                seen.add(key)
+                fresh.append(number)
+        found = found[fresh]
+        return np.ascontiguousarray(found[self.holds(found)])

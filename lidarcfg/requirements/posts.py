@@ -1,0 +1,258 @@
+"""From which distance on a post beside the vehicle is seen, and where it is lost again, azimuth by azimuth.
+
+A post 0.1 m wide stands upright on the ground; it is seen if at least one beam of a revolution returns from it,
+whichever way the sensors' heads point at first. Along each azimuth from the middle of the body's bounds, posts stand
+every STEP_M from the outline on. Distances are those of the post's middle from the body.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from lidarcfg import maths
+from lidarcfg.geometry import Array
+from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.requirements.places import Zone
+from lidarcfg.requirements.robustness import Robust
+from lidarcfg.requirements.sensors import OnPlaces, lowest_at, misplaced, no_progress
+from lidarcfg.requirements.target import box_target
+from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.world.obstacles import Obstacles
+
+AZIMUTHS = 360
+STEP_M = 0.05  # between two posts of an azimuth
+WIDTH_M = 0.1
+RUN_M = 0.5  # without a gap: from its beginning on, a post counts as seen
+LIMIT_M = 10.0  # from the body: as far out gaps count
+
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class PostPlaces:
+    """Where posts stand: N steps along each of A azimuths from the outline outwards."""
+
+    places: Array  # (A, N, 4) x, y, the ground's z, heading
+    distance_m: Array  # (A, N) from the body
+    from_middle_m: Array  # (A, N)
+    counts: Flags  # (A, N) which are within the limits
+
+    @classmethod
+    def around(
+        cls, body: Footprint, ground_m: float, within_m: tuple[float, float] = (0.0, LIMIT_M), zone: Zone | None = None
+    ) -> "PostPlaces":
+        """Around a body, at distances from it, in a zone's sector."""
+        azimuth = 2 * math.pi / AZIMUTHS * np.arange(AZIMUTHS)
+        way = np.stack([maths.cos(azimuth), maths.sin(azimuth)], axis=1)
+        low, high = body.bounds_m
+        diagonal_m = float(np.linalg.norm(high - low))
+        beyond = body.middle_m + way * diagonal_m
+        lines = shapely.linestrings(np.stack([np.broadcast_to(body.middle_m, beyond.shape), beyond], axis=1))
+        inside = shapely.intersection(lines, body.shape)
+        start_m = np.zeros(AZIMUTHS)
+        corners, number = shapely.get_coordinates(inside, return_index=True)
+        np.maximum.at(start_m, number, np.linalg.norm(corners - body.middle_m, axis=1))
+        steps = np.arange(1, math.ceil((within_m[1] + diagonal_m / 2) / STEP_M) + 1)
+        from_middle_m = start_m[:, None] + STEP_M * steps
+        at = body.middle_m + from_middle_m[..., None] * way[:, None]
+        distance_m = body.to_points_m(at.reshape(-1, 2)).reshape(from_middle_m.shape)
+        counts = (distance_m >= max(within_m[0], WIDTH_M / 2)) & (distance_m <= within_m[1] + 1e-9)
+        if zone:
+            counts &= zone.allows(at.reshape(-1, 2)).reshape(counts.shape)
+        columns = at[..., 0], at[..., 1], ground_m, azimuth[:, None]
+        places = np.stack([np.broadcast_to(column, counts.shape) for column in columns], axis=-1)
+        last = int(np.flatnonzero(counts.any(axis=0)).max(initial=0)) + 1
+        return cls(places[:, :last], distance_m[:, :last], from_middle_m[:, :last], counts[:, :last])
+
+
+@dataclass(frozen=True)
+class PostVisibility:
+    """Where a post of one height is seen around the vehicle, by azimuth; NaN where no place of an azimuth counts."""
+
+    height_m: float
+    limit_m: float  # from the body
+    places: PostPlaces
+    seen: Flags  # (A, N)
+
+    @property
+    def azimuth_deg(self) -> Array:
+        """(A,) counter-clockwise from ahead."""
+        return np.arange(AZIMUTHS, dtype=np.float64) * (360.0 / AZIMUTHS)
+
+    @cached_property
+    def _first(self) -> NDArray[np.int64]:
+        """(A,) the number of the post at which the first RUN_M without a gap begins; the number of posts: nowhere."""
+        count = self.seen.shape[1]
+        run = min(round(RUN_M / STEP_M), count)
+        seen = self.seen | ~self.places.counts  # what does not count is no gap
+        windows = np.lib.stride_tricks.sliding_window_view(seen, run, axis=1).all(axis=2)
+        windows = windows & self.places.counts[:, : windows.shape[1]]
+        first: NDArray[np.int64] = np.where(windows.any(axis=1), windows.argmax(axis=1), count)
+        return first
+
+    @property
+    def known(self) -> Flags:
+        """(A,) the azimuths with any place that counts."""
+        return np.asarray(self.places.counts.any(axis=1))
+
+    @property
+    def first_seen_m(self) -> Array:
+        """(A,) the distance from the body at which the first RUN_M without a gap begins; inf: nowhere."""
+        never = self._first >= self.seen.shape[1]
+        at = np.take_along_axis(self.places.distance_m, np.where(never, 0, self._first)[:, None], axis=1)[:, 0]
+        begins = self._first == self.places.counts.argmax(axis=1)  # at the nearest post: seen from the body on
+        at = np.where(begins, self._nearest_m, at)
+        return np.where(self.known, np.where(never, np.inf, at), np.nan)
+
+    @property
+    def _nearest_m(self) -> Array:
+        """(A,) how near the body a place may be: 0 where the first one touches it."""
+        first = self.places.counts.argmax(axis=1)
+        at = np.take_along_axis(self.places.distance_m, first[:, None], axis=1)[:, 0]
+        return np.where(first == 0, 0.0, at)
+
+    @cached_property
+    def gaps(self) -> Flags:
+        """(A, N) the posts beyond the first that is seen that are not seen."""
+        beyond = np.arange(self.seen.shape[1]) > self._first[:, None]
+        return np.asarray(beyond & self.places.counts & ~self.seen)
+
+    @cached_property
+    def _longest(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(A,) each: the number of posts in the longest gap, and that of its first post."""
+        length = np.zeros(len(self.gaps), np.int64)
+        first = np.zeros(len(self.gaps), np.int64)
+        running = np.zeros(len(self.gaps), np.int64)
+        for n in range(self.gaps.shape[1]):
+            running = np.where(self.gaps[:, n], running + 1, 0)
+            first = np.where(running > length, n - running + 1, first)
+            length = np.maximum(length, running)
+        return length, first
+
+    @property
+    def longest_gap_m(self) -> Array:
+        """(A,) the longest stretch beyond the first sight where the post is not seen; 0: none."""
+        return np.where(self.known, self._longest[0] * STEP_M, np.nan)
+
+    @property
+    def longest_gap_at_m(self) -> Array:
+        """(A,) the distance from the body at which it begins; NaN: there is none."""
+        at = np.take_along_axis(self.places.distance_m, self._longest[1][:, None], axis=1)[:, 0]
+        return np.where(self._longest[0] > 0, at, np.nan)
+
+    @property
+    def seen_to_m(self) -> Array:
+        """(A,) the distance from the body up to which it has no gap after the first sight; 0: it is never seen."""
+        rows = np.arange(len(self.gaps))
+        ends = np.where(self.gaps.any(axis=1), self.gaps.argmax(axis=1), self.gaps.shape[1]) - 1
+        at = self.places.distance_m[rows, np.clip(ends, 0, None)]
+        at = np.where(self.gaps.any(axis=1), at, self.limit_m)
+        return np.where(self.known, np.where(np.isinf(self.first_seen_m), 0.0, at), np.nan)
+
+    @property
+    def gap_share(self) -> float:
+        """The share of gaps in the area beyond the first sight, by azimuth, up to the limit."""
+        beyond = (np.arange(self.seen.shape[1]) > self._first[:, None]) & self.places.counts
+        area = float(self.places.from_middle_m[beyond].sum())
+        return float(self.places.from_middle_m[self.gaps].sum()) / area if area else 0.0
+
+
+def post_visibility(
+    posts: PostPlaces,
+    height_m: float,
+    mounts: Sequence[Mount],
+    obstacles: Obstacles,
+    lost: int = 0,
+    limit_m: float = LIMIT_M,
+    on_places: OnPlaces = no_progress,
+) -> PostVisibility:
+    """Where a post of a height is seen by a rig's sensors, also with any `lost` of them lost, place by place."""
+    target = box_target((WIDTH_M, WIDTH_M, height_m))
+    counted = np.ascontiguousarray(posts.places[posts.counts])
+    lowest = lowest_at(counted, target, mounts, obstacles, 1, lost + 1)
+    on_places(len(counted))
+    seen = np.zeros(posts.counts.shape, np.bool_)
+    seen[posts.counts] = (lowest.counts > 0).sum(axis=1) > lost
+    return PostVisibility(height_m, limit_m, posts, seen)
+
+
+@dataclass(frozen=True)
+class PostRequirement:
+    """A post is seen near the body, and beyond that without long gaps."""
+
+    name: str
+    posts: PostPlaces
+    height_m: float
+    first_seen_at_most_m: float | None
+    gap_at_most_m: float | None
+    limit_m: float  # from the body
+    obstacles: Obstacles
+    lost: int = 0
+    robust: Robust | None = None
+
+    @property
+    def work(self) -> int:
+        """The number of places at which rigs are measured, for progress."""
+        return int(self.posts.counts.sum()) * (1 + (self.robust.drawn if self.robust else 0))
+
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
+        """The verdict on a rig."""
+        found = [self._judged(mounts, on_places)]
+        if self.robust and self.robust.drawn:
+            draws = [self._judged(misplaced(mounts, one), on_places) for one in self.robust.errors(len(mounts))]
+            draws.sort(key=lambda one: one.relative_margin, reverse=True)
+            found.append(draws[self.robust.drawn - 1 - self.robust.spare])
+        return min(found, key=lambda one: one.relative_margin)
+
+    def _judged(self, mounts: Sequence[Mount], on_places: OnPlaces) -> RequirementVerdict:
+        seen = post_visibility(self.posts, self.height_m, mounts, self.obstacles, self.lost, self.limit_m, on_places)
+        limits = {
+            "first seen": (self.first_seen_at_most_m, seen.first_seen_m, seen.first_seen_m),
+            "longest gap": (self.gap_at_most_m, seen.longest_gap_m, seen.longest_gap_at_m),
+        }
+        found = [
+            self._verdict(seen, what, limit, values, at_m)
+            for what, (limit, values, at_m) in limits.items()
+            if limit is not None
+        ]
+        return min(found, key=lambda one: one.relative_margin)
+
+    def _verdict(
+        self, seen: PostVisibility, what: str, limit_m: float, values_m: Array, at_m: Array
+    ) -> RequirementVerdict:
+        """The verdict by one of the two limits."""
+        known = np.where(seen.known, values_m, -1.0)
+        worst = int(known.argmax())
+        value_m = float(known[worst])
+        at = float(at_m[worst])
+        row = self.posts.distance_m[worst]
+        number = int(abs(row - at).argmin()) if math.isfinite(at) else len(row) - 1
+        place = self.posts.places[worst, number]
+        short = np.where(np.isinf(known), 1.0, np.clip((known - limit_m) / self.limit_m, 0, 1))[seen.known]
+        finite = seen.first_seen_m[np.isfinite(seen.first_seen_m)]
+        everywhere = len(finite) == int(seen.known.sum())
+        first = (
+            f"first seen at most {finite.max():.2f} m from the body" if everywhere else "never seen at some azimuths"
+        )
+        beyond = f"longest gap beyond {np.nanmax(seen.longest_gap_m):.2f} m, {seen.gap_share:.2%} of the area are gaps"
+        seen_to = f"seen without gaps to {np.nanmin(seen.seen_to_m):.2f} m"
+        notes = [f"{what} decides; {first}, {beyond}, {seen_to}"]
+        return RequirementVerdict(
+            name=self.name,
+            kind="post_height_m",
+            passed=value_m <= limit_m + 1e-9,
+            unit="m",
+            demanded=limit_m,
+            reached=value_m,
+            at_most=True,
+            shortfall=float(short.mean()) if value_m > limit_m + 1e-9 else 0.0,
+            worst=WorstPlace(float(place[0]), float(place[1]), None, float(row[number])),
+            sampling=Sampling(int(self.posts.counts.sum()), (STEP_M, STEP_M), STEP_M),
+            notes=tuple(notes),
+        )

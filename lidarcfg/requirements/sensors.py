@@ -1,0 +1,117 @@
+"""The sensors of a rig, each cast alone at an object's places; what is known of those that did not move is kept."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg import core
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.requirements.robustness import mounted
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.simulate.returns import Lowest, Poses, Target, compiled, count_lowest, scanner
+from lidarcfg.world.obstacles import Obstacles
+
+KEPT_BYTES = 1 << 28  # of counts, for the places of a requirement
+COUNT_BYTES = 5  # of a count and its phase
+KEPT_MIN = 64  # poses, whatever memory they take
+OnPlaces = Callable[[int], None]
+
+
+def no_progress(count: int) -> None:
+    """Nobody wants to know."""
+
+
+def scanners_of(mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
+    """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
+    found = []
+    for mount in mounts:
+        try:
+            found.append(scanner(mount))
+        except ConfigError as error:
+            raise error.of(mount.name) from None
+    return compiled(found)
+
+
+def poses_of(mounts: Sequence[Mount]) -> Poses:
+    """Where the mounts are."""
+    T = np.array([mount.T_vehicle_sensor for mount in mounts])
+    return Poses(np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3]))
+
+
+def misplaced(mounts: Sequence[Mount], errors: Array) -> tuple[Mount, ...]:
+    """The mounts with mounting errors (mounts, 6) added."""
+    poses = np.array([(*mount.position_m, *mount.rpy_rad) for mount in mounts])
+    off = mounted(poses, errors).tolist()
+    return tuple(
+        replace(mount, position_m=tuple(row[:3]), rpy_rad=tuple(row[3:]))
+        for mount, row in zip(mounts, off, strict=True)
+    )
+
+
+@dataclass
+class Column:
+    """What is known of a sensor at a pose."""
+
+    mount: Mount
+    cap: int
+    counts: NDArray[np.int32]  # (P,) below 0: unknown
+    phases: NDArray[np.int8]  # (P,)
+
+
+class KeptCounts:
+    """The lowest counts at an object's places, of sensors at the poses that were asked for last."""
+
+    def __init__(self, places: Array, target: Target, obstacles: Obstacles) -> None:
+        self.places = places
+        self._target = target
+        self._obstacles = obstacles
+        self._known: OrderedDict[tuple[float, ...], list[Column]] = OrderedDict()
+        self._most = max(KEPT_BYTES // (COUNT_BYTES * max(len(places), 1)), KEPT_MIN)
+
+    def lowest(self, mounts: Sequence[Mount], cap: int, wanted: int, on_places: OnPlaces = no_progress) -> Lowest:
+        """The mounts' lowest counts up to a cap; see count_lowest. Only what is not known is cast."""
+        columns = [self._column(mount, cap) for mount in mounts]
+        lowest = Lowest(
+            np.stack([one.counts for one in columns], axis=1), np.stack([one.phases for one in columns], axis=1)
+        )
+        scanners = scanners_of(mounts)
+        count_lowest(
+            self.places, self._target, scanners, poses_of(mounts), self._obstacles, cap, wanted, lowest, on_places
+        )
+        for n, column in enumerate(columns):
+            column.counts = lowest.counts[:, n].copy()
+            column.phases = lowest.phases[:, n].copy()
+        return lowest
+
+    def _column(self, mount: Mount, cap: int) -> Column:
+        """What is known of a mount; counts at a lower cap are not, those at a higher one are cut."""
+        plain = replace(mount, name="", host="", data_port=0, telemetry_port=0)
+        key = (*mount.position_m, *mount.rpy_rad)
+        columns = self._known.setdefault(key, [])
+        self._known.move_to_end(key)
+        column = next((one for one in columns if one.mount == plain), None)
+        if column is None:
+            count = len(self.places)
+            column = Column(plain, cap, np.full(count, -1, np.int32), np.zeros(count, np.int8))
+            columns.append(column)
+        if column.cap < cap:
+            column.counts = np.where(column.counts >= column.cap, np.int32(-1), column.counts)
+        column.counts = np.minimum(column.counts, np.int32(cap))
+        column.cap = cap
+        while len(self._known) > self._most:
+            self._known.popitem(last=False)
+        return column
+
+
+def lowest_at(
+    places: Array, target: Target, mounts: Sequence[Mount], obstacles: Obstacles, cap: int, wanted: int
+) -> Lowest:
+    """The mounts' lowest counts at places (P, 4), of which nothing is kept."""
+    shape = len(places), len(mounts)
+    lowest = Lowest(np.full(shape, -1, np.int32), np.zeros(shape, np.int8))
+    count_lowest(places, target, scanners_of(mounts), poses_of(mounts), obstacles, cap, wanted, lowest)
+    return lowest

@@ -1,0 +1,110 @@
+"""The shadow: what the vehicle's bodies alone hide from all sensors beside it, whatever their beams."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.requirements.objects import cases
+from lidarcfg.requirements.robustness import Robust
+from lidarcfg.requirements.sensors import OnPlaces, misplaced, no_progress
+from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.world.vehicle import Vehicle
+
+STEP_M = 0.2  # between the points that are looked at
+WITHIN_M = 0.0, 5.0  # of the body, unless the requirement says otherwise
+HEIGHT_M = 0.0, 2.0
+POINTS_MAX = 20_000_000
+
+
+@dataclass(frozen=True)
+class ShadowRequirement:
+    """The bodies hide at most so large a volume from all sensors."""
+
+    name: str
+    at_most_m3: float
+    height_m: tuple[float, float]  # above the ground
+    within_m: tuple[float, float]  # of the body, outside its footprint
+    vehicle: Vehicle
+    body: Footprint
+    ground_m: float
+    lost: int = 0
+    robust: Robust | None = None
+
+    @cached_property
+    def points_m(self) -> Array:
+        """(N, 3) points each of which stands for a cell of STEP_M. Raises ConfigError if there are too many."""
+        low, high = self.body.bounds_m
+        reach_m = self.within_m[1]
+        x, y = (np.arange(low[axis] - reach_m, high[axis] + reach_m, STEP_M) + STEP_M / 2 for axis in (0, 1))
+        layers = max(round((self.height_m[1] - self.height_m[0]) / STEP_M), 1)
+        if (count := len(x) * len(y) * layers) > POINTS_MAX:
+            raise ConfigError(f"{count:,} points; allowed: at most {POINTS_MAX:,}; give a smaller within_m")
+        at = np.stack(np.broadcast_arrays(x[:, None], y), axis=-1).reshape(-1, 2)
+        distance_m = self.body.to_points_m(at)
+        at = at[(distance_m > 0) & (distance_m >= self.within_m[0]) & (distance_m <= reach_m)]
+        z = self.ground_m + self.height_m[0] + (np.arange(layers) + 0.5) * self.layer_m
+        return np.concatenate([np.repeat(at, layers, axis=0), np.tile(z, len(at))[:, None]], axis=1)
+
+    @property
+    def layer_m(self) -> float:
+        """The height of a cell."""
+        height_m = self.height_m[1] - self.height_m[0]
+        return height_m / max(round(height_m / STEP_M), 1)
+
+    @property
+    def work(self) -> int:
+        """The number of points that are looked at, for progress."""
+        return len(self.points_m) * (1 + (self.robust.drawn if self.robust else 0))
+
+    def seen(self, mounts: Sequence[Mount]) -> NDArray[np.bool_]:
+        """(sensors, N) which points no body hides from each sensor."""
+        origins = [np.array(mount.position_m) for mount in mounts]
+        return np.stack([~self.vehicle.tracer.blocked(origin, self.points_m) for origin in origins])
+
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
+        """The verdict on a rig."""
+        found = [self._judged(mounts, on_places)]
+        if self.robust and self.robust.drawn:
+            draws = [self._judged(misplaced(mounts, one), on_places) for one in self.robust.errors(len(mounts))]
+            draws.sort(key=lambda one: one.reached)
+            found.append(draws[self.robust.drawn - 1 - self.robust.spare])
+        return max(found, key=lambda one: one.reached)
+
+    def _judged(self, mounts: Sequence[Mount], on_places: OnPlaces) -> RequirementVerdict:
+        seen = self.seen(mounts)
+        on_places(len(self.points_m))
+        ways = cases(len(mounts), self.lost)
+        cell_m3 = STEP_M**2 * self.layer_m
+        hidden = [~seen[kept].any(axis=0) for kept in ways]
+        volumes = [float(one.sum()) * cell_m3 for one in hidden]
+        worst = int(np.argmax(volumes))
+        value = volumes[worst]
+        place = None
+        if hidden[worst].any():
+            points = self.points_m[hidden[worst]]
+            distance_m = self.body.to_points_m(points[:, :2])
+            nearest = int(distance_m.argmin())
+            place = WorstPlace(float(points[nearest, 0]), float(points[nearest, 1]), None, float(distance_m[nearest]))
+        lost = [mount.name for n, mount in enumerate(mounts) if n not in ways[worst]]
+        whole_m3 = len(self.points_m) * cell_m3
+        return RequirementVerdict(
+            name=self.name,
+            kind="shadow_at_most_m3",
+            passed=value <= self.at_most_m3,
+            unit="m³",
+            demanded=self.at_most_m3,
+            reached=value,
+            at_most=True,
+            shortfall=float(np.mean([max(one - self.at_most_m3, 0.0) for one in volumes])) / max(whole_m3, cell_m3),
+            worst=place,
+            lost=tuple(lost),
+            sampling=Sampling(len(self.points_m), (STEP_M, STEP_M), STEP_M),
+            notes=(f"of {whole_m3:.1f} m³ beside the body",),
+        )

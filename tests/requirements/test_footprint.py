@@ -1,0 +1,88 @@
+"""Distances to a concave body by hand and by plain loops, and footprints with holes."""
+
+import math
+
+import numpy as np
+import pytest
+
+from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.requirements.places import Stand, Zone
+from lidarcfg.world.meshes import join_meshes
+from tests.naive import requirements as naive
+from tests.returns_cases import box
+
+
+def moved(mesh, x, y):
+    return mesh[0] + (x, y, 0.0), mesh[1]
+
+
+BAR = box(4.0, 1.0, 1.0)
+U = join_meshes([BAR, moved(box(1.0, 2.0, 1.0), -1.5, 1.5), moved(box(1.0, 2.0, 1.0), 1.5, 1.5)])  # open to the left
+OBJECT = Footprint.of(box(0.4, 0.2, 1.0))
+
+
+def at(x, y, heading_deg=0.0):
+    return np.array([[x, y, 0.0, math.radians(heading_deg)]])
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        (at(0.0, 1.5), 0.8 - 0.0),  # in the notch: 1 to either arm, 1 to the bar, less half of 0.4 and of 0.2
+        (at(0.0, 1.5, 90.0), 0.8),  # to the bar
+        (at(4.0, 0.0), 1.8),
+        (at(4.0, 0.0, 90.0), 1.9),
+        (at(3.0, 3.5), math.hypot(0.8, 0.9)),  # from corner to corner
+        (at(0.0, 0.4), 0.0),  # in the body
+    ],
+)
+def test_distances_by_hand(place, expected):
+    assert Footprint.of(U).to_objects_m(OBJECT, place)[0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_distances_by_plain_loops():
+    rng = np.random.default_rng(3)
+    body = Footprint.of(U)
+    outline = body.outlines_m[0][:-1]
+    for x, y, heading in rng.uniform((-6, -6, 0), (6, 6, 360), (40, 3)):
+        place = at(x, y, heading)
+        found = body.to_objects_m(OBJECT, place)[0]
+        if found > 0:
+            c, s = math.cos(math.radians(heading)), math.sin(math.radians(heading))
+            corners = OBJECT.outlines_m[0][:-1] @ np.array([[c, s], [-s, c]]) + (x, y)
+            assert found == pytest.approx(naive.distance_m(corners, outline), abs=1e-9)
+
+
+def test_holes_are_filled_and_bays_are_kept():
+    ring = join_meshes([U, moved(BAR, 0.0, 3.0)])  # closes the notch
+    assert Footprint.of(U).shape.area == pytest.approx(8.0, abs=1e-4)
+    assert Footprint.of(ring).shape.area == pytest.approx(4.0 * 4.0, abs=1e-4)
+    assert Footprint.of(ring).to_points_m(np.array([[0.0, 1.5]]))[0] == 0.0
+
+
+def test_an_upright_plane_has_a_footprint():
+    corners = np.array([[0.0, -1, 0], [0, 1, 0], [0, 1, 2], [0, -1, 2]])
+    plane = Footprint.of((corners, np.array([[0, 1, 2], [0, 2, 3]])))
+    assert plane.to_points_m(np.array([[3.0, 0.0]]))[0] == pytest.approx(3.0)
+
+
+def test_places_are_where_they_are_allowed():
+    """Distances, the sector and the spacing of the base grid, place by place."""
+    body = Footprint.of(BAR)
+    zone = Zone(body, (0.5, 7.0), (math.radians(-30), math.radians(60)))
+    stand = Stand(zone, OBJECT, np.radians([0.0, 90.0]), 0.0)
+    places = stand.base
+    distance = stand.distance_m(places)
+    assert (distance >= 0.5 - 1e-9).all()
+    assert (distance <= 7.0 + 1e-9).all()
+    angle = np.degrees(np.arctan2(places[:, 1], places[:, 0]))
+    assert ((angle >= -30 - 1e-9) & (angle <= 60 + 1e-9)).all()
+    assert (stand.near_step_m, stand.far_step_m) == (pytest.approx(0.1), 0.5)
+    near = places[body.to_points_m(places[:, :2]) < 5]
+    steps = np.diff(np.unique(near[:, 0].round(6)))
+    assert steps.max() == pytest.approx(0.1)
+    inside = Zone(body, box_m=(np.array([3.0, -1.0]), np.array([5.0, 1.0])))
+    boxed = Stand(inside, OBJECT, np.radians([0.0, 90.0]), 0.0, 0.25).base
+    reach = np.where(boxed[:, 3] == 0, 0.2, 0.1)
+    assert (boxed[:, 0] - reach).min() >= 3.0 - 1e-9
+    assert (boxed[:, 0] + reach).max() <= 5.0 + 1e-9

@@ -1,0 +1,56 @@
+"""`lidarcfg verify`: a line a requirement, and exit codes that scripts can use."""
+
+import json
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.command_line import lidarcfg
+
+STUDY = """
+region: {min_m: [-10, -10, 0], max_m: [10, 10, 4], cuboid_m: [1, 1, 1]}
+vehicle: {boxes: [{name: body, center_m: [0, 0, 0.7], size_m: [2, 1, 1.4]}]}
+sensors:
+  - model: vlp-16
+    count: 2
+    min: {position_m: [0, -1, 1.5], rpy_deg: [0, 0, 0]}
+    max: {position_m: [0, 1, 2], rpy_deg: [0, 0, 0]}
+prices: {vlp-16: 4000}
+requirements:
+  - name: crates ahead
+    object: {size_m: [1, 1, 1]}
+    within_m: [2, 4]
+    sector_deg: [-30, 30]
+    headings_deg: [0]
+    returns: RETURNS
+  - {name: budget, price_at_most: PRICE}
+"""
+RIG = """name: two
+sensors:
+  - {name: left, model: vlp-16, position_m: [0, 0.5, 1.6], rpy_deg: [0, 0, 0]}
+  - {name: right, model: vlp-16, position_m: [0, -0.5, 1.6], rpy_deg: [0, 0, 0]}
+"""
+
+
+@pytest.fixture
+def files(tmp_path):
+    def write(returns=10, price=8000):
+        study = tmp_path / "study.yaml"
+        study.write_text(STUDY.replace("RETURNS", str(returns)).replace("PRICE", str(price)))
+        rig = tmp_path / "rig.yaml"
+        rig.write_text(RIG)
+        return str(study), str(rig)
+
+    return write
+
+
+def test_pass_and_fail(files, tmp_path):
+    done = lidarcfg("verify", *files(), "--json", "--junit", tmp_path / "v.xml")
+    found = json.loads(done.stdout)
+    assert found["pass"]
+    assert [one["pass"] for one in found["requirements"]] == [True, True]
+    assert ElementTree.parse(tmp_path / "v.xml").getroot().find("testsuite").get("failures") == "0"
+    reached = found["requirements"][0]["reached"]
+    done = lidarcfg("verify", *files(int(reached) + 1, 7999), code=3)
+    assert done.stdout.count("FAIL") == 3
+    assert "2 of 2 requirements are not met" in done.stdout
