@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import click
 import cloup
 
-from lidarcfg.cli.options import FILE, complete_model, load_trajectory, nanoseconds, quiet_option, warn
+from lidarcfg.cli.completion import complete_model
+from lidarcfg.cli.options import FILE, load_trajectory, nanoseconds, quiet_option, warn
 
 if TYPE_CHECKING:
     from lidarcfg.simulate.tasks import Drive
@@ -56,10 +57,10 @@ def convert(
     scene: str | None,
     quiet: bool,
 ) -> None:
-    """Convert a rig, a cloud or a capture for another tool, or another tool's kit of sensors into a rig.
+    """Convert rigs, clouds and captures; import rigs.
 
-    Anything that the format cannot hold is a warning on stderr. If the manifest of an exported capture is beside it,
-    bags also hold the vehicle's poses and the boxes of objects.
+    Another tool's kit of sensors becomes a rig. Anything that the format cannot hold is a warning on stderr. If the
+    manifest of an exported capture is beside it, bags also hold the vehicle's poses and the boxes of objects.
 
     \b
     INPUT                 OUTPUT   FORMAT
@@ -67,7 +68,7 @@ def convert(
       .yaml .yml .json    .py      launch        ROS 2 static transforms
                           .json    carla         poses, attributes for CARLA
                           folder   nuscenes      a folder of two JSON tables
-    kit of sensors:       .yaml    rig           its LiDARs, told what was guessed
+    kit of sensors:       .yaml    rig           the LiDARs of the kit
       .urdf .xacro .xml                          URDF, after xacro
       .yaml .yml, folder                         Autoware's calibration files
       .json, folder                              nuScenes' tables, or carla's
