@@ -45,6 +45,11 @@ if TYPE_CHECKING:
     help="What a kit's frame NAME is, or all that are not guessed: a model, a YAML file, or none. Of a capture: the "
     "model, whatever the packets say. May be repeated.",
 )
+@cloup.option(
+    "--vehicle",
+    type=FILE,
+    help="The body that crop-box and azimuth-windows cut away: YAML, or a mesh.  [default: the rig's]",
+)
 @cloup.option("--scene", metavar="NAME", help="The scene of nuScenes' tables whose sensors are read.")
 @quiet_option
 def convert(
@@ -54,6 +59,7 @@ def convert(
     rig: Path | None,
     truth: Path | None,
     models: tuple[str, ...],
+    vehicle: Path | None,
     scene: str | None,
     quiet: bool,
 ) -> None:
@@ -68,6 +74,8 @@ def convert(
       .yaml .yml .json    .py      launch        ROS 2 static transforms
                           .json    carla         poses, attributes for CARLA
                           folder   nuscenes      a folder of two JSON tables
+                          .yaml    crop-box      the body's box, for Autoware
+                          .json    azimuth-windows  views that miss the body
     kit of sensors:       .yaml    rig           the LiDARs of the kit
       .urdf .xacro .xml                          URDF, after xacro
       .yaml .yml, folder                         Autoware's calibration files
@@ -95,6 +103,8 @@ def convert(
 
     form = formats.choose_format(source, output, name)
     warnings: list[str] = []
+    if vehicle and form.name not in formats.SELF_FILTERS:
+        raise click.UsageError(f"--vehicle is for --to {' and --to '.join(formats.SELF_FILTERS)}")
     if form.name == formats.RIG:
         if rig or truth:
             raise click.UsageError("--rig and --truth are for captures")
@@ -104,6 +114,10 @@ def convert(
     if scene:
         raise click.UsageError("--scene is for nuScenes' tables, which become a rig")
     model = _single(models)
+    if form.name in formats.SELF_FILTERS and not (rig or truth or model):
+        found = formats.save_self_filter(source, output, form.name, vehicle, warnings.append)
+        _say(output, found, warnings, quiet)
+        return
     if form.kind != "capture" and (rig or model or truth):
         raise click.UsageError("--rig, --truth and --model are for captures")
     if form.name == "firings" and (rig or truth):

@@ -37,6 +37,7 @@ class Format:
     lacks: str = ""  # what the input has and this format cannot hold
 
 
+SELF_FILTERS = ("crop-box", "azimuth-windows")  # of a vehicle's body
 RIG = "rig"  # what kits and bags convert to
 RIG_SUFFIXES = (".yaml", ".yml")
 POSES_ALONE = "beams, network, speed or return mode"
@@ -50,6 +51,8 @@ FORMATS = (
     Format("launch", "rig", ".py", POSES_ALONE),
     Format("carla", "rig", ".json", "firing order, network or return mode"),
     Format("nuscenes", "rig", "", POSES_ALONE),
+    Format("crop-box", "rig", ".yaml"),
+    Format("azimuth-windows", "rig", ".json"),
     Format("rig", "kit", ".yaml"),
     Format("rig", "bag", ".yaml"),
     Format("ply", "cloud", ".ply"),
@@ -100,9 +103,9 @@ def format_of(kind: Kind, output: Path, name: str | None) -> Format:
                 return form
         raise ConversionError(f"{_failed(kind)} {name}; allowed: {', '.join(form.name for form in formats)}")
     for form in formats:
-        if form.suffix == _suffix(output):
+        if form.suffix == _suffix(output) and form.name not in SELF_FILTERS:
             return form
-    allowed = ", ".join(form.suffix for form in formats if form.suffix)
+    allowed = ", ".join(form.suffix for form in formats if form.suffix and form.name not in SELF_FILTERS)
     folder = ", or a folder, which has no suffix" if any(not form.suffix for form in formats) else ""
     hint = "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
     if kind == "drive":
@@ -163,6 +166,21 @@ def convert(
     else:
         count = save_bag(output, source, STORAGES[form.name], mounted, model, on_warning)
     return f"{count:,} messages"
+
+
+def save_self_filter(source: Path, output: Path, name: str, vehicle: Path | None, on_warning: OnWarning) -> str:
+    """Write what cuts the body of a rig's vehicle, or of another, away; whole or not at all. Raises LidarcfgError."""
+    from lidarcfg.io.self_filter import azimuth_windows, crop_box
+    from lidarcfg.world.vehicle import resolve_vehicle
+
+    rig = load_rig(source)
+    bodies = resolve_vehicle(rig, vehicle)
+    if bodies is None:
+        raise ConversionError(f"{source}: has no vehicle, whose body {name} cuts away; --vehicle gives one")
+    text = crop_box(bodies) if name == "crop-box" else azimuth_windows(rig, bodies, on_warning)
+    with replacing(output) as file:
+        file.write(text)
+    return "1 box" if name == "crop-box" else f"{len(rig.mounts):,} sensors"
 
 
 def import_rig(source: Path, output: Path, models: Mapping[str, str], scene: str | None, on_warning: OnWarning) -> str:
