@@ -88,7 +88,7 @@ def optimize(
     baseline: Path | None,
     quiet: bool,
 ) -> None:
-    """Find the poses that meet the requirements, or that minimise the largest unseen subspace.
+    """Find the poses that meet requirements, or minimise max VSR.
 
     If the study has requirements, the rig meets them if one is found that does; then its objective is as small as can
     be, or without an objective the least margin as large. The plain rigs that an engineer would try come first. Exits
