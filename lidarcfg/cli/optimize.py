@@ -120,7 +120,7 @@ def optimize(
         again = _repeat_command(study, folder, loaded.solver, found)
         save_placement(loaded, found, shown, folder, Commands(command_line(), again), beside)
     if not quiet:
-        print_placement(found, shown.evaluation)
+        print_placement(loaded, found, shown.evaluation)
         if beside:
             print_comparison(loaded, with_baseline(found.rig, folder / "rig.yaml", shown, beside))
         files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"

@@ -49,9 +49,9 @@ def test_beside_a_search_and_an_evaluation(folder):
     )
     base = result["baseline"]
     assert (base["file"], base["rig"]) == ("hand.yaml", alone["rig"])
-    assert {
-        key: base[key] for key in ("max_vsr_m", "worst", "detection", "seen_by_m3", "blind_spots", "robustness")
-    } == {key: alone[key] for key in ("max_vsr_m", "worst", "detection", "seen_by_m3", "blind_spots", "robustness")}
+    assert {key: base[key] for key in ("max_vsr_m", "worst", "detection", "seen_by_m3", "shadow", "robustness")} == {
+        key: alone[key] for key in ("max_vsr_m", "worst", "detection", "seen_by_m3", "shadow", "robustness")
+    }
     page = read((folder / "out/report.html").read_text())
     ours, theirs = result["worst"][0], base["worst"][0]
     for key in ("vsr_m", "volume_m3", "surface_m2"):

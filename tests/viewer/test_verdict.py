@@ -66,7 +66,9 @@ def test_the_verdict_follows_a_drag(chromium, required):
         settled(chromium)
         found = verdict_of(required, chromium.execute_script("return lidarcfg.handles.poses"))
         text = chromium.find_element("id", "verdict").text
-        rows = chromium.execute_script("return [...document.querySelectorAll('#requirements tr')].map((r) => r.innerText)")
+        rows = chromium.execute_script(
+            "return [...document.querySelectorAll('#requirements tr')].map((r) => r.innerText)"
+        )
         assert text == ("PASS" if found.passed else "FAIL")
         for row, one in zip(rows, found.requirements, strict=True):
             name, margin, word = row.split("\t")
