@@ -68,7 +68,6 @@ def posts_table(found: Sequence[PostVisibility]) -> Table:
             [
                 f"{posts.height_m:g} m",
                 _at(first[worst], azimuth[worst]),
-                *(_first_seen(posts, side) for side in SIDES.values()),
                 _at(gap[widest], azimuth[widest]) if gap[widest] else "none",
                 f"{posts.gap_share:.2%}",
                 _at(to[least], azimuth[least]),
@@ -77,7 +76,6 @@ def posts_table(found: Sequence[PostVisibility]) -> Table:
     head = (
         "post",
         "first seen (m)",
-        *(f"{side} (m)" for side in SIDES),
         "longest gap (m)",
         "gaps' share",
         "seen without gaps to (m)",
@@ -87,11 +85,6 @@ def posts_table(found: Sequence[PostVisibility]) -> Table:
         f"within {found[0].limit_m:g} m of the body: {count:,} places, {POST_STEP_M:g} m apart on {AZIMUTHS} azimuths"
     )
     return Table(f"Blind spots: where a post {WIDTH_M:g} m wide is seen in the worst phase, {where}", head, rows)
-
-
-def _first_seen(posts: PostVisibility, azimuth: int) -> str:
-    value = float(posts.first_seen_m[azimuth])
-    return "–" if np.isnan(value) else "never" if np.isinf(value) else f"{value:.2f}"
 
 
 def _at(value: float, azimuth_deg: float) -> str:

@@ -218,8 +218,7 @@ def _summary(study: Study, details: ReportInputs, placement: Placement | None = 
         where = f"{low.directions.height_m:g} m above the ground, at {low.largest_at_deg:.0f}°"
         least = "≥ " if low.largest_reaches_edge else ""
         figures.append(KeyFigure("Shadow, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
-    for posts in found.posts:
-        figures.append(post_figure(posts))
+    figures += [post_figure(posts) for posts in found.posts]
     for item in study.detection:
         name = item.name
         rate = found.detection[name]

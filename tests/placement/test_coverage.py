@@ -102,7 +102,7 @@ def test_rings_of_places_drawn():
 def test_few_rings_hold_the_whole_region(size_m):
     region = Region.from_boxes((-size_m, 0, 0), (size_m / 2, size_m, 1), (size_m / 2, size_m, 1))
     centre = np.array([size_m / 4, size_m / 3])
-    edges = ring_edges_m(region, centre)
+    edges = ring_edges_m(region, from_point(centre))
     assert 2 <= len(edges) - 1 <= 12
     assert edges[0] == 0
     assert edges[-1] > math.hypot(1.25 * size_m, 2 / 3 * size_m) >= edges[-2] - 1e-9

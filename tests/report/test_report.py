@@ -325,7 +325,7 @@ def test_no_angle_is_minus_nothing(tmp_path, capsys):
     )
     assert mounts_table(load_rig(rig)).rows[0][4:9] == ["0.000", "1.000", "2.000", "-1.00", "0.00"]
     study = make(tmp_path, STUDY)
-    print_evaluation(load_study(study), load_rig(rig), evaluate(study, load_rig(rig)))
+    print_evaluation(study, load_rig(rig), evaluate(study, load_rig(rig)))
     assert " -0.00" not in capsys.readouterr().out
 
 
