@@ -90,7 +90,7 @@ def evaluate(
         values |= {"baseline": baseline_dict(loaded, beside)} if beside else {}
         click.echo(to_json(values))
     elif not quiet:
-        print_evaluation(mounted, found)
+        print_evaluation(loaded, mounted, found)
         if shown and beside:
             print_comparison(loaded, with_baseline(mounted, rig, shown, beside))
 

@@ -12,7 +12,8 @@ from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
-from lidarcfg.report.describe import counted, describe_returns, price
+from lidarcfg.report.describe import counted, describe_places, describe_returns, price
+from lidarcfg.report.poses import poses_at_bounds
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.text import MANY, summarize, terminal, truncate
 from lidarcfg.report.verdict import print_verdict
@@ -35,15 +36,13 @@ def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> N
     if study.seeks_margin:
         search.add_row("least margin", f"{found.objective:+.2%} of what is demanded")
     elif not study.is_max_vsr:
-        search.add_row("objective", f"{found.objective:.6f}")
+        search.add_row("objective, optimised", f"{found.objective:.6f}")
     search.add_row("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m")
     search.add_row("max VSR, optimised", f"{evaluation.max_vsr_m:.4f} m")
     search.add_row("evaluations", f"{found.evaluations:,}")
     search.add_row("seconds", f"{found.seconds:.1f}")
     terminal().print(search)
-    print_evaluation(found.rig, evaluation, with_verdict=False)
-    for line in found.at_bounds:
-        terminal().print(line)
+    _print_rig(study, found.rig, evaluation)
 
 
 def print_front(study: Study, found: "Front") -> None:
@@ -74,16 +73,22 @@ def print_front(study: Study, found: "Front") -> None:
     )
 
 
-def print_evaluation(rig: Rig, found: Evaluation, with_verdict: bool = True) -> None:
+def print_evaluation(study: Study, rig: Rig, found: Evaluation) -> None:
     """Print the verdict, the rig, its max VSR and detection rates, and the worst subspaces."""
-    console = terminal()
-    if found.verdict and with_verdict:
+    if found.verdict:
         print_verdict(found.verdict)
+    _print_rig(study, rig, found)
+
+
+def _print_rig(study: Study, rig: Rig, found: Evaluation) -> None:
+    console = terminal()
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
         angles = np.degrees(mount.rpy_rad)
         poses.add_row(truncate(mount.name), *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
     console.print(poses)
+    for line in poses_at_bounds(study, rig):
+        console.print(line)
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
     if found.analytic:
         console.print(analytic_line(found.analytic))
@@ -92,10 +97,10 @@ def print_evaluation(rig: Rig, found: Evaluation, with_verdict: bool = True) -> 
         console.print(f"max VSR in {truncate(zone.name)}: {zone.max_vsr_m:.6f} m{weighted}")
     for line in robust_lines(found.robustness) if found.robustness else ():
         console.print(line)
-    for name, detection in found.detection.items():
-        how = f"± {detection.half_width:.4f}, {detection.places:,} drawn positions"
-        if not detection.half_width:
-            how = f"all {detection.places:,} positions"
+    for item in study.detection:
+        name = item.name
+        detection = found.detection[name]
+        how = describe_places(study, item, detection)
         console.print(f"detection rate of {truncate(name)}: {detection.rate:.4f} ({how})")
         if detection.returns:
             console.print(f"  {describe_returns(detection.returns)}")
@@ -142,7 +147,7 @@ def print_comparison(study: Study, rigs: "Sequence[Contender]") -> None:
 
 
 def blind_lines(blind: BlindSpots) -> list[str]:
-    """The volume by the number of LiDARs, and how far the blind spot reaches; nothing where all see everything."""
+    """The volume by the number of LiDARs, and how far the shadow reaches; nothing where all see everything."""
     if not blind.contours:
         return []
     total = float(blind.seen_by_m3.sum())
@@ -155,7 +160,7 @@ def blind_lines(blind: BlindSpots) -> list[str]:
         height = contour.directions.height_m
         least = "at least " if contour.largest_reaches_edge else ""
         far = f"{least}{contour.largest_m:.2f} m from the body at {contour.largest_at_deg:.0f}°"
-        lines.append(f"blind spot {height:g} m above the ground: up to {far}, {contour.area_m2:.2f} m² in all")
+        lines.append(f"shadow {height:g} m above the ground: up to {far}, {contour.area_m2:.2f} m² in all")
     return lines
 
 
