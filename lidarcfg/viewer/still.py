@@ -46,6 +46,7 @@ SIZE = (1920, 1080)
 PIXEL_BYTES = 22  # of memory to draw one, measured
 LETTER = 0.62  # the mean width of a letter in sizes of its text
 LINE = 1.3  # the height of a line
+DOT = 16.0  # pixels of a sensor's dot in a picture of 626 rows
 BAND = 256  # rows of pixels that labels and lines are blended into at a time
 NEAR_M = 0.05
 GROUND_M = 200.0  # of the ground, to each side of the vehicle
@@ -305,17 +306,20 @@ def _draw_mounts(axes: "Axes", contents: Contents, camera: Camera, width: int, h
         places.append((float(x[0]), float(y[0])))
         names.append(truncate(mount.name))
     if names:
-        _name_mounts(axes, np.array(places), names, size, width, height)
+        name_mounts(axes, np.array(places), names, size)
     return seen
 
 
-def _name_mounts(axes: "Axes", places: Array, names: list[str], size: float, width: int, height: int) -> None:
-    """Write the sensors' names above their places (n, 2) in the picture, none over another."""
+def name_mounts(axes: "Axes", places: Array, names: list[str], size: float) -> None:
+    """Write the sensors' names above their places (n, 2) in pixels, none over another or over a sensor's dot."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     text_pt = 5 + 5 * size
     line = text_pt * 100 / 72
     boxes = np.array([(LETTER * len(name) * line, LINE * line) for name in names])
+    dots = np.full((len(names), 2), DOT * size)
     above = places - (0.0, 26 * size * 100 / 72)
-    found = spread(above, boxes, np.zeros(2), np.array([width, height], np.float64))
+    corner = np.array([right - left, bottom - top])
+    found = spread(np.concatenate([places, above]), np.concatenate([dots, boxes]), np.zeros(2), corner)[len(names) :]
     for (x, y), name in zip(found.tolist(), names, strict=True):
         axes.text(x, y, name, ha="center", va="center", color="w", fontsize=text_pt, parse_math=False, clip_on=True)
 
