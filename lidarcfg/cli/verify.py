@@ -6,7 +6,7 @@ import click
 import cloup
 
 from lidarcfg.cli.evaluate import check_rig
-from lidarcfg.cli.options import FILE, json_option, quiet_option, warn_of
+from lidarcfg.cli.options import FILE, command_line, json_option, quiet_option, warn_of
 from lidarcfg.cli.progress import progress
 
 NOT_MET = 3  # the exit code if a requirement is not met
@@ -21,6 +21,7 @@ NOT_MET = 3  # the exit code if a requirement is not met
 )
 @cloup.argument("study", type=FILE, help="YAML: the requirements, and the vehicle.")
 @cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
+@cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for verdict.html and verdict.json.")
 @cloup.option("--against", type=FILE, metavar="RIG", help="Say what is better and worse than with this rig.")
 @cloup.option("--junit", type=FILE, metavar="FILE", help="Write the verdict as JUnit's XML, for CI.")
 @json_option
@@ -30,6 +31,7 @@ def verify(
     context: click.Context,
     study: Path,
     rig: Path,
+    output: Path | None,
     against: Path | None,
     junit: Path | None,
     as_json: bool,
@@ -45,9 +47,10 @@ def verify(
         from lidarcfg.errors import ConfigError
         from lidarcfg.files import replacing
         from lidarcfg.placement.study import load_study
-        from lidarcfg.report.results import to_json
+        from lidarcfg.report.results import VERIFIED, check_writable, save_verdict, to_json
         from lidarcfg.report.verdict import junit as junit_text
         from lidarcfg.report.verdict import print_verdict, verdict_dict
+        from lidarcfg.requirements.evidence import Verification, evidence
         from lidarcfg.requirements.verify import Verifier
         from lidarcfg.sensors.rig import load_rig
 
@@ -59,6 +62,8 @@ def verify(
     warn_of(loaded.vehicle)
     for path, one in zip(paths, rigs, strict=True):
         check_rig(loaded, path, one)
+    if output:
+        check_writable(output, VERIFIED)
     verifier = Verifier(loaded.requirements)
     with progress(quiet or as_json, keep=False) as on_progress:
         verdicts = []
@@ -68,13 +73,20 @@ def verify(
                 on_progress((n + fraction) / len(rigs), f"verifying {name}")
 
             verdicts.append(verifier.verify(one.mounts, on_verified))
-    beside = verdicts[1] if against else None
+        beside = verdicts[1] if against else None
+        values = verdict_dict(verdicts[0], beside, [str(path) for path in paths])
+        if output:
+            on_progress(1.0, f"writing {output}")
+            shown = Verification(verdicts[0], evidence(verifier, rigs[0].mounts, verdicts[0]))
+            save_verdict(loaded, rigs[0], shown, values, output, command_line(), beside)
     if junit:
         with replacing(junit) as file:
             file.write(junit_text(verdicts[0], f"{study} {rig}"))
     if as_json:
-        click.echo(to_json(verdict_dict(verdicts[0], beside, [str(path) for path in paths])))
+        click.echo(to_json(values))
     elif not quiet:
         print_verdict(verdicts[0], beside)
+        if output:
+            click.echo(f"written to {output}/: {' '.join(reversed(VERIFIED))}")
     if not verdicts[0].passed:
         context.exit(NOT_MET)

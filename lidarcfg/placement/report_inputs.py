@@ -18,6 +18,8 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.sensitivity import robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces
+from lidarcfg.requirements.evidence import Verification, evidence
+from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig
 
 MOST = np.int32(2**31 - 1)
@@ -113,6 +115,7 @@ class ReportInputs:
     rings: dict[str, Rings]  # by object
     detection_maps: dict[str, DetectionMap]  # by object without `samples`
     gap_fits: dict[str, GapFit]  # by object that is a box
+    verification: Verification | None = None  # of a study with requirements
 
     def without_cuboids(self) -> "ReportInputs":
         """A copy without the arrays of cuboids, to save memory where several rigs are compared."""
@@ -138,6 +141,10 @@ def report_inputs(
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
     found = replace(found, robustness=robustness(study, rig))
+    verified = None
+    if study.requirements and found.verdict:
+        shown = evidence(Verifier(study.requirements), rig.mounts, found.verdict)
+        verified = Verification(found.verdict, shown)
     subspaces = found.subspaces
     vehicle = study.reference_m
     edges = ring_edges_m(study.region, vehicle)
@@ -160,6 +167,7 @@ def report_inputs(
             for item in study.detection
             if (fit := gap_fit(subspaces, found.vsr_m, item, vehicle, found.counted.get(item.name))) is not None
         },
+        verification=verified,
     )
 
 

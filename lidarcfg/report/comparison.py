@@ -32,6 +32,7 @@ from lidarcfg.report.html import BestCell, KeyFigure, Table, render
 from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.report.robustness import FAR, draw_lost
 from lidarcfg.report.text import DRAWN, HEAD, truncate
+from lidarcfg.report.verdict import FAIL, PASS, signed
 from lidarcfg.sensors.rig import Rig
 
 RIGS_MAX = 10
@@ -98,6 +99,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
         return ComparisonRow(what, texts, best)
 
     out = [
+        *_verdict_rows(rigs),
         row("sensors", ",", lambda rig: len(rig.rig.mounts)),
         row("beams", ",", lambda rig: beams(rig.rig)),
         row("max VSR (m)", ".6f", lambda rig: rig.found.max_vsr_m, -1),
@@ -121,6 +123,20 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
         row("positions with no beam", ".2%", lambda rig: rig.details.coverage.by_none, -1),
         row("positions with one sensor's beams", ".2%", lambda rig: rig.details.coverage.by_one_sensor, -1),
     ]
+    return out
+
+
+def _verdict_rows(rigs: Sequence[Contender]) -> list[ComparisonRow]:
+    """Whether each requirement is met, and by how much; none without requirements."""
+    verdicts = [rig.found.verdict for rig in rigs if rig.found.verdict]
+    if len(verdicts) < len(rigs):
+        return []
+    out = []
+    for ones in zip(*(found.requirements for found in verdicts), strict=True):
+        texts = [f"{PASS if one.passed else FAIL} {signed(one.margin, one.unit)}" for one in ones]
+        margins = [one.relative_margin for one in ones]
+        best = [min(margins) < max(margins) and margin == max(margins) for margin in margins]
+        out.append(ComparisonRow(truncate(ones[0].name, DRAWN), texts, best))
     return out
 
 

@@ -11,8 +11,8 @@ from lidarcfg.config.document import yaml_text
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation, Worst
-from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.report_inputs import ReportInputs
+from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table
@@ -38,6 +38,7 @@ from lidarcfg.report.html import KeyFigure, Table, render, with_baseline_figures
 from lidarcfg.report.mounts import draw_mounts, draw_surfaces
 from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
 from lidarcfg.report.text import summarize, truncate
+from lidarcfg.report.verification import verdict_part
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 
 FactRows = list[tuple[str, object]]
@@ -82,6 +83,9 @@ def report(
         "report.html",
         title=f"Report: {rig.name}",
         about=f"{describe_rig(rig)}; {what} by lidarcfg {__version__} on {date()}",
+        found=verdict_part(details.verification, rig, baseline.details.evaluation.verdict if baseline else None)
+        if details.verification
+        else None,
         summary=with_baseline_figures(_summary(details), _of_baseline(baseline)) if baseline else _summary(details),
         baseline=baseline,
         baseline_yaml=yaml_text(rig_to_dict(baseline.rig)) if baseline else None,

@@ -22,7 +22,21 @@ class BestCell(str):
     """A table's cell that is marked as the best of its row."""
 
     __slots__ = ()
-    best = True
+    mark = "best"
+
+
+class PassCell(str):
+    """A table's cell that says that a requirement is met."""
+
+    __slots__ = ()
+    mark = "pass"
+
+
+class FailCell(str):
+    """A table's cell that says that a requirement is not met."""
+
+    __slots__ = ()
+    mark = "fail"
 
 
 @dataclass(frozen=True)

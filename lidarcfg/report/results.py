@@ -18,19 +18,23 @@ from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.report_inputs import ReportInputs
+from lidarcfg.placement.search_run import Log, Placement
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
 from lidarcfg.report.document import Baseline, Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
+from lidarcfg.report.verification import verdict_page
+from lidarcfg.requirements.evidence import Verification
+from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
 
 
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:
     """The values that `evaluate --json` prints and every result.json contains."""
     return {
+        **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
         "measure": "faces",
         "max_vsr_m": found.max_vsr_m,
         "analytic": found.analytic and asdict(found.analytic) | {"reached": found.analytic.reached},
@@ -92,7 +96,9 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
     rigs = found.evaluated * study.rigs[0]
     cut = study.objective_cuts
     return evaluation_dict(study, found.rig, evaluation) | {
-        "objective": found.objective,
+        "objective": found.objective if math.isfinite(found.objective) else None,
+        "at_bounds": list(found.at_bounds),
+        **({"remarks": list(found.remarks)} if found.remarks else {}),
         "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
         "evaluations": found.evaluations,
         "first_evaluations": found.first_evaluations,
@@ -170,6 +176,22 @@ def save_placement(
     write_text(page, folder / "report.html")
 
 
+def save_verdict(
+    study: Study,
+    rig: Rig,
+    found: Verification,
+    values: dict[str, Any],
+    folder: Path,
+    command: str | None = None,
+    against: Verdict | None = None,
+) -> None:
+    """Write verdict.html and verdict.json, which holds `values`, into `folder`; `against`: see `verdict_part`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    page = verdict_page(study, rig, found, command, against)
+    write_text(to_json(values) + "\n", folder / "verdict.json")
+    write_text(page, folder / "verdict.html")
+
+
 def write_history(history: Sequence[Any], folder: Path) -> None:
     """Write the lines of a search's history, dataclasses of one kind, into history.csv."""
     with replacing(folder / "history.csv") as file:
@@ -181,6 +203,7 @@ def write_history(history: Sequence[Any], folder: Path) -> None:
 UNPRINTED = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")  # controls and directions of text
 PROGRESS = ("search.npz", "rig.yaml")  # the files of a search that is running
 EVALUATED = ("result.json", "rig.png", "report.html")  # the files of an evaluation
+VERIFIED = ("verdict.json", "verdict.html")  # the files of a verification
 FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # the files of a front
 # The files of a search.
 RESULTS = (*PROGRESS, "result.json", "history.csv", "convergence.png", "rig.png", "report.html")

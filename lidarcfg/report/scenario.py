@@ -29,9 +29,21 @@ def draw_scenario(found: ScenarioResult) -> "Figure":
     The worst run is a line with its frames, the other starts are thin. Vertical lines are the last moment to brake, the
     worst run's detection, and the earliest line of sight.
     """
-    rows = ceil(len(found.cases) / COLUMNS)
+    figure = new_figure(3.6 * min(len(found.cases), COLUMNS), 2.6 * scenario_rows(found) + 0.7)
+    draw_scenario_on(figure, found)
+    figure.suptitle(found.scenario.name, parse_math=False)
+    return figure
+
+
+def scenario_rows(found: ScenarioResult) -> int:
+    """The rows of axes in a plot."""
+    return ceil(len(found.cases) / COLUMNS)
+
+
+def draw_scenario_on(figure: "Figure", found: ScenarioResult) -> None:
+    """The plot on a figure."""
+    rows = scenario_rows(found)
     columns = min(len(found.cases), COLUMNS)
-    figure = new_figure(3.6 * columns, 2.6 * rows + 0.7)
     for number, case in enumerate(found.cases):
         axes = figure.add_subplot(rows, columns, number + 1)
         _draw_case(axes, found, case)
@@ -42,8 +54,6 @@ def draw_scenario(found: ScenarioResult) -> "Figure":
     lines = {str(line.get_label()): line for axes in figure.axes for line in axes.lines}
     shown = {name: line for name, line in lines.items() if not name.startswith("_")}
     figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=3, fontsize=8)
-    figure.suptitle(found.scenario.name, parse_math=False)
-    return figure
 
 
 def _draw_case(axes: "Axes", found: ScenarioResult, case: ScenarioCase) -> None:

@@ -10,11 +10,12 @@ from rich.table import Column, Table
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.optimize import Placement
+from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.describe import counted, describe_returns, price
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.text import MANY, summarize, terminal, truncate
+from lidarcfg.report.verdict import print_verdict
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
@@ -24,15 +25,25 @@ if TYPE_CHECKING:
 FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
 
 
-def print_placement(found: Placement, evaluation: Evaluation) -> None:
-    """Print a summary of the search, then the rig and its evaluation."""
+def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> None:
+    """Print the verdict, a summary of the search, then the rig and its evaluation."""
+    if found.verdict:
+        print_verdict(found.verdict)
+    for line in found.remarks:
+        terminal().print(line)
     search = Table(box=SIMPLE, show_header=False)
+    if study.seeks_margin:
+        search.add_row("least margin", f"{found.objective:+.2%} of what is demanded")
+    elif not study.is_max_vsr:
+        search.add_row("objective", f"{found.objective:.6f}")
     search.add_row("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m")
     search.add_row("max VSR, optimised", f"{evaluation.max_vsr_m:.4f} m")
     search.add_row("evaluations", f"{found.evaluations:,}")
     search.add_row("seconds", f"{found.seconds:.1f}")
     terminal().print(search)
-    print_evaluation(found.rig, evaluation)
+    print_evaluation(found.rig, evaluation, with_verdict=False)
+    for line in found.at_bounds:
+        terminal().print(line)
 
 
 def print_front(study: Study, found: "Front") -> None:
@@ -63,9 +74,11 @@ def print_front(study: Study, found: "Front") -> None:
     )
 
 
-def print_evaluation(rig: Rig, found: Evaluation) -> None:
-    """Print the rig, its max VSR and detection rates, and the worst subspaces."""
+def print_evaluation(rig: Rig, found: Evaluation, with_verdict: bool = True) -> None:
+    """Print the verdict, the rig, its max VSR and detection rates, and the worst subspaces."""
     console = terminal()
+    if found.verdict and with_verdict:
+        print_verdict(found.verdict)
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
         angles = np.degrees(mount.rpy_rad)

@@ -24,19 +24,21 @@ def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
         Column("requirement", overflow="fold"),
         *(Column(name, justify="right") for name in ("demanded", "reached", "margin", *others)),
         *(Column(name, justify="right") for name in ("worst at (m)", "heading", "from body")),
+        Column("phases", overflow="fold"),
         Column("sensors lost", overflow="fold"),
         box=SIMPLE,
     )
     for n, one in enumerate(found.requirements):
-        beside = _beside(one, against.requirements[n]) if against else []
+        beside = compared(one, against.requirements[n]) if against else []
         table.add_row(
             PASS if one.passed else FAIL,
             truncate(one.name),
-            f"{'≤' if one.at_most else '≥'} {quantity(one.demanded, one.unit)}",
+            demanded(one),
             quantity(one.reached, one.unit),
             signed(one.margin, one.unit),
             *beside,
             *_worst_cells(one),
+            phases(one),
             lost_sensors(one),
         )
     console = terminal()
@@ -68,6 +70,16 @@ def remarks(found: Verdict) -> list[str]:
             texts.append(one.sampling.text)
         out += [f"{truncate(one.name)}: {text}" for text in texts]
     return out
+
+
+def demanded(one: RequirementVerdict) -> str:
+    """What a requirement asks for."""
+    return f"{'≤' if one.at_most else '≥'} {quantity(one.demanded, one.unit)}"
+
+
+def phases(one: RequirementVerdict) -> str:
+    """The phase of each sensor at the worst place: quarters of the step between firings; – for one that is lost."""
+    return " ".join("–" if phase < 0 else str(phase) for phase in one.phases or ())
 
 
 def quantity(value: float, unit: str) -> str:
@@ -118,8 +130,8 @@ def lost_sensors(one: RequirementVerdict) -> str:
     return f"{lost}; each alone breaks it: {breaking}".removeprefix("; ")
 
 
-def _beside(one: RequirementVerdict, other: RequirementVerdict) -> list[str]:
-    """The other rig's margin, and what this rig's is more or less."""
+def compared(one: RequirementVerdict, other: RequirementVerdict) -> list[str]:
+    """Another rig's margin, and by how much this one's is better."""
     change = one.margin - other.margin
     if not math.isfinite(change):
         word = "" if one.margin == other.margin else "better" if one.margin > other.margin else "worse"

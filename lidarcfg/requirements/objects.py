@@ -25,7 +25,7 @@ from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import ClusterRule, Lowest, Target, count_clusters
 from lidarcfg.world.obstacles import Obstacles
 
-LOWEST = 128  # places, around which others are tried
+LOWEST = 256  # places, around which others are tried
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then
@@ -98,6 +98,17 @@ class Tried:
     finest_rad: float
 
 
+@dataclass(frozen=True)
+class PlaceCounts:
+    """What an object reaches at N positions of the base grid, each at its worst heading."""
+
+    at_m: Array  # (N, 2)
+    values: Counts  # (N,) in the worst case; lower bounds from the cap on
+    side_m: Array  # (N,) between neighbours there
+    demanded: int
+    cap: int
+
+
 def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts:
     """(P,) the sum of counts (P, S) without the `lost` largest; or, of those left, the `sensors`-th largest."""
     ordered = -np.sort(-np.maximum(counts, 0).astype(np.int64), axis=1)
@@ -121,10 +132,26 @@ class ObjectJudge:
         """The number of places at which rigs are measured, for progress."""
         return len(self.places) * (1 + (self._robust.drawn if self._robust else 0))
 
+    @property
+    def first_cap(self) -> int:
+        """Returns beyond which they are counted only if nothing is lower anywhere."""
+        return max(2 * self.item.returns, CAP_MIN)
+
+    def counts(self, mounts: Sequence[Mount]) -> PlaceCounts:
+        """What a rig reaches at the base grid's positions, each at its worst heading; of one just judged, as kept."""
+        stand = self.item.stand
+        found = self.measured(mounts, self.first_cap)
+        worst, values = positions(found.places, found.values)
+        at = found.places[worst, :2]
+        side_m = np.full(len(at), stand.far_step_m)
+        if stand.zone.body:
+            side_m[stand.zone.body.to_points_m(at) <= stand.near_m] = stand.near_step_m
+        return PlaceCounts(at, values, side_m, self.item.returns, self.first_cap)
+
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
         item = self.item
-        cap = max(2 * item.returns, CAP_MIN)
+        cap = self.first_cap
         tried = self._tried(mounts, cap, on_places)
         while self._worst(tried)[1] >= cap and cap < CAP_MAX:
             cap *= CAP_FACTOR
@@ -169,7 +196,7 @@ class ObjectJudge:
                 places=len(tried.every.places),
                 base_m=(item.stand.near_step_m, item.stand.far_step_m),
                 finest_m=tried.finest_m,
-                finest_deg=math.degrees(tried.finest_rad),
+                finest_deg=round(math.degrees(tried.finest_rad), 9),
             ),
             notes=tuple(notes),
         )
@@ -307,7 +334,8 @@ class ObjectJudge:
     def _tried(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces) -> Tried:
         """The base grid's counts, and those at places between, around the lowest, down to the finest spacing."""
         stand = self.item.stand
-        base = every = self.measured(mounts, cap, on_places)
+        base = self.measured(mounts, cap, on_places)
+        every = base.joined(self.measured_at(stand.edge, mounts, cap)) if len(stand.edge) else base
         seen: set[tuple[int, ...]] = set()
         step_m = stand.far_step_m
         turns = np.diff(stand.headings_rad)

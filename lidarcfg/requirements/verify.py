@@ -12,7 +12,7 @@ from lidarcfg.sensors.rig import Mount
 OnProgress = Callable[[float, str], None]
 
 
-def _silent(fraction: float, name: str) -> None:
+def silent(fraction: float, name: str) -> None:
     """Nobody wants to know."""
 
 
@@ -27,7 +27,7 @@ class Verifier:
             for item in requirements.items
         )
 
-    def verify(self, mounts: Sequence[Mount], on_progress: OnProgress = _silent) -> Verdict:
+    def verify(self, mounts: Sequence[Mount], on_progress: OnProgress = silent) -> Verdict:
         """The verdict on a rig's mounts; `on_progress` is told the fraction done, and the requirement that is judged.
 
         Raises ConfigError for sensors that cannot be simulated or have no price, and if none would be left.

@@ -64,11 +64,15 @@ class Target:
     @cached_property
     def shape(self) -> core.returns.TargetShape:
         """The object as the core takes it."""
+        return core.returns.TargetShape(self.bvh, *self.box_m)
+
+    @cached_property
+    def bvh(self) -> core.world.Bvh:
+        """The hierarchy over its triangles, relative to its place."""
         corners = self.mesh[0][self.mesh[1]] - self.origin_m
         number = np.arange(len(corners), dtype=np.int32)
         kind = np.full(len(corners), TRIANGLE, np.uint8)
-        bvh = core.world.Bvh(corners.reshape(-1, 9), kind, number, np.zeros_like(number))
-        return core.returns.TargetShape(bvh, *self.box_m)
+        return core.world.Bvh(corners.reshape(-1, 9), kind, number, np.zeros_like(number))
 
     @property
     def box_m(self) -> tuple[Array, Array]:

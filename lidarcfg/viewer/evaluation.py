@@ -9,6 +9,8 @@ from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluation import detection_rates
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import Subspaces, segment
+from lidarcfg.report.verdict import conclusion, demanded, quantity, signed, worst_place
+from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.viewer.bodies import (
     base_discs_m,
@@ -89,6 +91,26 @@ def _rates(study: Study, rig: Rig, transparent: bool, spaces: Subspaces) -> list
         {"name": name, "rate": one.rate, "half_width": one.half_width, "places": one.places}
         for name, one in found.items()
     ]
+
+
+def verdict(verifier: Verifier, rig: Rig) -> dict[str, Any]:
+    """The verdict on a rig as the page lists it. Raises ConfigError as `Verifier.verify` does."""
+    found = verifier.verify(rig.mounts)
+    return {
+        "pass": found.passed,
+        "text": conclusion(found),
+        "requirements": [
+            {
+                "name": one.name,
+                "pass": one.passed,
+                "margin": signed(one.margin, one.unit),
+                "detail": ", ".join(
+                    text for text in (f"{demanded(one)}; {quantity(one.reached, one.unit)}", worst_place(one)) if text
+                ),
+            }
+            for one in found.requirements
+        ],
+    }
 
 
 def with_poses(rig: Rig, poses: Array) -> Rig:

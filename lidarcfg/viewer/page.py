@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import __version__
-from lidarcfg.errors import CloudError
+from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.placement.evaluation import WORST
 from lidarcfg.placement.study import Study
+from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.viewer import colours
 from lidarcfg.viewer.bodies import base_area_m, faces, packed_mesh, packed_quads
@@ -23,6 +24,7 @@ from lidarcfg.viewer.camera import Camera
 from lidarcfg.viewer.colours import COLOUR_BY, By, colour, sensor_colours, span
 from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.evaluation import evaluations
+from lidarcfg.viewer.evaluation import verdict as verdict_on
 from lidarcfg.viewer.mounting import has_its_sensors, mirrored_pairs, surface_mounts
 from lidarcfg.viewer.still import GROUND_M
 from lidarcfg.viewer.timeline import Timeline, parts, timeline, tracks
@@ -53,7 +55,7 @@ class Page:
 def page_of(
     contents: Contents, by: By = "sensor", camera: Camera | None = None, worst: int = 3, served: bool = False
 ) -> Page:
-    """All that the page shows; if it is served it asks for detection rates itself.
+    """All that the page shows; if it is served it asks for detection rates and the verdict itself.
 
     Raises CloudError if there is nothing to show, or the colour is unknown.
     """
@@ -66,6 +68,7 @@ def page_of(
     if line:
         arrays["tracks"] = np.ascontiguousarray(tracks(contents, line), "<f8")
     shown = evaluations(contents.study, contents.rigs[0], WORST, not served) if contents.study else [None, None]
+    verdict = None if served else _verdict(contents, shown[0])
     about = {
         "version": __version__,
         "by": by,
@@ -94,6 +97,7 @@ def page_of(
         "study": contents.study and _study(contents.study, contents.rigs[0]),
         "mirrored": mirrored_pairs(contents.study, contents.rigs[0]) if contents.study else [],
         "on_surface": surface_mounts(contents.study, contents.rigs[0]) if contents.study else [],
+        "verdict": verdict,
         "evaluation": shown[0],
         "transparent": shown[1],
         "vehicle": contents.vehicle and {"mesh": packed_mesh(*contents.vehicle.scene.mesh())},
@@ -101,6 +105,18 @@ def page_of(
         "scenes": _scenes(contents),
     }
     return Page(about, arrays)
+
+
+def _verdict(contents: Contents, shown: dict[str, Any] | None) -> dict[str, Any] | None:
+    """The verdict on the first rig, if the study has requirements; what is wrong goes into the evaluation."""
+    study = contents.study
+    if study is None or study.requirements is None or shown is None:
+        return None
+    try:
+        return verdict_on(Verifier(study.requirements), contents.rigs[0])
+    except ConfigError as error:  # of sensors whose firing or price is not known
+        shown["violations"].append(str(error))
+        return None
 
 
 def html(page: Page | None) -> str:
@@ -269,6 +285,7 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
             for zone in study.zones
         ],
         "detects": len(study.detection) > 0,
+        "requirements": [item.name for item in study.requirements.items] if study.requirements else [],
     }
 
 

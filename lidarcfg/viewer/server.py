@@ -17,9 +17,10 @@ from lidarcfg.errors import ConfigError, LidarcfgError, reason
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import out_of_memory
 from lidarcfg.placement.evaluation import WORST
+from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig, rig_text
 from lidarcfg.viewer.contents import Contents
-from lidarcfg.viewer.evaluation import evaluation, rates, with_poses
+from lidarcfg.viewer.evaluation import evaluation, rates, verdict, with_poses
 from lidarcfg.viewer.mounting import slide
 from lidarcfg.viewer.page import ASSETS, MODULES, Page, html
 
@@ -45,6 +46,9 @@ class Server(ThreadingHTTPServer):
         self.evaluating = threading.Lock()
         self.counting = threading.Lock()
         self.saving = threading.Lock()
+        self.verifying = threading.Lock()
+        required = contents.study and contents.study.requirements
+        self.verifier = Verifier(required) if required else None  # keeps what is known of sensors that do not move
         about = page.about | {"live": True, "token": self.token, "file": contents.source and str(contents.source.path)}
         self.texts = {
             "/": ("text/html; charset=utf-8", html(None).encode()),
@@ -126,6 +130,9 @@ class _Handler(BaseHTTPRequestHandler):
         if self.path == "/rates" and study:
             with server.counting:
                 return _json(rates(study, rig, _flag(request, "transparent")))
+        if self.path == "/verify" and server.verifier:
+            with server.verifying:
+                return _json(verdict(server.verifier, rig))
         return "", b""
 
     def log_message(self, format: str, *args: Any) -> None:

@@ -7,7 +7,7 @@ import { grid, rings } from "lidarcfg/guides";
 import { Evaluator, Handles } from "lidarcfg/handles";
 import { listenToKeys } from "lidarcfg/keys";
 import { Measure } from "lidarcfg/measure";
-import { EvaluationSection, check, colourSection, el, push, section, sensorSection, slide } from "lidarcfg/panel";
+import { EvaluationSection, VerdictSection, check, colourSection, el, push, section, sensorSection, slide } from "lidarcfg/panel";
 import { PointsCloud } from "lidarcfg/points";
 import { RasterCloud } from "lidarcfg/raster";
 import { RigSection } from "lidarcfg/rig";
@@ -176,6 +176,11 @@ function bodyControls(view, panel, mounts) {
 
 function studyControls(view, panel) {
   const { about } = view;
+  if (about.study.requirements.length && (about.live || about.verdict)) {
+    view.verdict = new VerdictSection(about.study.requirements);
+    panel.append(view.verdict.element);
+    if (about.verdict) view.verdict.set(about.verdict);
+  }
   view.figures = new EvaluationSection(about, (count) => show(view, view.evaluation, count));
   panel.append(view.figures.element);
   show(view, about.evaluation, Math.min(about.worst, about.evaluation.worst.length));
@@ -207,6 +212,7 @@ function rigControls(view, panel, mounts) {
     view.rig.show();
     view.rig.stale.hidden = !view.cloud;
     view.rates?.forget();
+    view.verifier?.forget();
     view.evaluator?.ask();
   };
   view.handles = new Handles(stage, mounts, about, moved, () => view.rig.count(), ({ message }) => view.say(message));
@@ -215,7 +221,7 @@ function rigControls(view, panel, mounts) {
   panel.append(view.rig.element);
 }
 
-// Max VSR follows each move; detection rates take longer and are asked for in pauses.
+// Max VSR follows each move; detection rates and the verdict take longer and are asked for in pauses.
 function evaluators(view) {
   const fail = (error) => {
     view.figures.violations.textContent = error.message;
@@ -225,11 +231,17 @@ function evaluators(view) {
   const detects = view.about.study.detects;
   view.evaluator = new Evaluator("evaluate", () => ({ ...question(), worst: view.count }), (found) => {
     show(view, found, view.count);
-    if (!detects) return;
-    view.figures.staleRates();
-    view.rates.askSoon();
+    if (detects) {
+      view.figures.staleRates();
+      view.rates.askSoon();
+    }
+    view.verdict?.stale();
+    view.verifier?.askSoon();
   }, fail);
   if (detects) view.rates.ask();
+  if (!view.verdict) return;
+  view.verifier = new Evaluator("verify", () => ({ poses: view.handles.poses }), (found) => view.verdict.set(found), (error) => view.verdict.fail(error));
+  view.verifier.ask();
 }
 
 function cameraControls(view, panel) {

@@ -95,6 +95,43 @@ function legendOf(mode, points, colours) {
 const entry = (colour, text, count) =>
   el("div", { className: "row" }, el("span", { className: "dot", style: { background: colour } }), text, el("span", { className: "count", textContent: count }));
 
+// PASS or FAIL of the rig and of each requirement, with its margin; the rest is told under the pointer.
+export class VerdictSection {
+  constructor(names) {
+    this.text = el("div", { className: "big", id: "verdict" });
+    this.rows = el("tbody", { id: "requirements" });
+    this.error = el("div", { className: "bad", id: "verdict-error" });
+    this.element = section("Requirements", this.text, this.error, el("table", {}, headed("requirement", "margin", ""), this.rows));
+    this.rows.replaceChildren(...names.map((name) => row(name, "", "…")));
+  }
+
+  set({ pass, text, requirements }) {
+    this.rows.className = "";
+    this.error.textContent = "";
+    this.text.textContent = pass ? "PASS" : "FAIL";
+    this.text.className = pass ? "big good" : "big bad";
+    this.text.title = text;
+    this.rows.replaceChildren(
+      ...requirements.map((one) => {
+        const line = row(one.name, one.margin, one.pass ? "PASS" : "FAIL");
+        line.title = one.detail;
+        line.lastChild.className = one.pass ? "good" : "bad";
+        return line;
+      }),
+    );
+  }
+
+  // Until that on the latest pose comes.
+  stale() {
+    this.rows.className = "stale";
+    this.text.classList.add("stale");
+  }
+
+  fail({ message }) {
+    this.error.textContent = message;
+  }
+}
+
 // Max VSR, what no sensor sees, how often objects are detected, and the worst subspaces in a table.
 export class EvaluationSection {
   constructor(about, onCount) {
