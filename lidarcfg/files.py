@@ -37,9 +37,9 @@ def example(path: str | Path) -> Path:
     return path
 
 
-def loaded(given: T | str | Path, load: Callable[[str | Path], T]) -> T:
-    """The argument; where it is the path of a file, its contents."""
-    return load(given) if isinstance(given, str | Path) else given
+def loaded(given: Any, load: Callable[[Any], T], kind: type[T]) -> T:
+    """The argument if it is of a kind; else what `load` makes of it, which raises for what it does not know."""
+    return given if isinstance(given, kind) else load(given)
 
 
 @contextmanager

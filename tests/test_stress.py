@@ -22,8 +22,9 @@ from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.grid import beam_gaps
 from lidarcfg.placement.metric import max_vsr, vsr_m
 from lidarcfg.placement.objective import Criterion
-from lidarcfg.placement.optimize import costs, optimize
+from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.search_run import costs
 from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.lshade import Lshade
 from lidarcfg.placement.study import load_study

@@ -11,7 +11,9 @@ SIZES_M = {  # x, y with mirrors, z
     "sedan": (4.8, 2.056, 1.5),
     "truck": (7.2, 2.716, 3.2),
     "shuttle": (4.4, 2.0, 2.5),
+    "bus": (12.0, 3.0, 3.0),
 }
+TRIANGLES = {"sedan": (2000, 6000), "truck": (2000, 6000), "shuttle": (2000, 6000), "bus": (300, 900)}
 
 
 def read(name):
@@ -33,7 +35,7 @@ def test_a_vehicle_is_one_closed_mesh_on_the_ground(name):
     assert body.is_orientable()
     assert body.get_volume() > 0  # and its normals point outwards
     assert len(body.cluster_connected_triangles()[1]) == 1
-    assert 2000 <= len(body.triangles) <= 6000
+    assert TRIANGLES[name][0] <= len(body.triangles) <= TRIANGLES[name][1]
     assert (VEHICLES / f"{name}.ply").stat().st_size < 200_000
     areas = np.linalg.norm(
         np.cross(*np.diff(np.asarray(body.vertices)[np.asarray(body.triangles)], axis=1).transpose(1, 0, 2)), axis=1
@@ -75,3 +77,22 @@ def test_the_truck_by_places_that_a_delivery_truck_has():
 def test_the_shuttle_is_the_same_forwards_and_backwards():
     points = np.random.default_rng(1).uniform((-2.4, -1.2, 0), (2.4, 1.2, 2.7), (5000, 3))
     np.testing.assert_allclose(distances_m("shuttle", points), distances_m("shuttle", points * (-1, 1, 1)), atol=0.006)
+
+
+def test_the_bus_by_places_that_a_city_bus_has():
+    """Inside: saloon, engine, a mirror. Outside: over the roof, under the floor, in a wheel arch, by a mirror's arms."""
+    assert (distances_m("bus", [(0, 0, 1.5), (-5.5, 0, 1.0), (5.8, 1.42, 1.95), (0, 1.1, 2.95)]) < 0).all()
+    assert (
+        distances_m("bus", [(0, 0, 3.1), (0, 0, 0.2), (3.0, 1.2, 0.99), (5.8, 1.3, 1.95), (0, 1.26, 2.95)]) > 0
+    ).all()
+    across = distances_m("bus", [(-0.5, y, 2.0) for y in (-1.28, 1.28)])
+    np.testing.assert_allclose(
+        across, (0.045, 0.035), atol=0.003
+    )  # a door 4 cm deep on the right, a window 3 cm on the left
+
+
+def test_no_place_for_a_sensor_of_the_bus_is_inside_its_body():
+    """Over the roof's edges and at the four corners, within the width of the mirrors."""
+    roof = [(x, y, z) for x in (-4.0, 0.0, 4.0) for y in (-1.35, -1.15, 1.15, 1.35) for z in (3.1, 3.3)]
+    corner = [(x, y, z) for x in (-6.15, -6.05, 6.05, 6.15) for y in (-1.45, 1.45, 1.35, -1.35) for z in (0.6, 1.6)]
+    assert distances_m("bus", roof + corner).min() > 0.08

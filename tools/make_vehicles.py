@@ -1,4 +1,4 @@
-"""Make the vehicles of data/vehicles/: a saloon, a delivery truck and a low shuttle, each one closed mesh.
+"""Make the vehicles of data/vehicles/: a saloon, a delivery truck, a low shuttle and a bus, each one closed mesh.
 
 Usage: .venv/bin/python tools/make_vehicles.py [FOLDER]      (needs the extra `vehicles`)
 
@@ -99,9 +99,9 @@ def wheel(x: float, y: float, radius: float, width: float, facets: int = 32) -> 
     return loft(rings).translate([x, y, radius * math.cos(math.pi / facets)])
 
 
-def drum(x: float, z: float, radius: float, inner: float, outer: float) -> Manifold:
+def drum(x: float, z: float, radius: float, inner: float, outer: float, facets: int = 40) -> Manifold:
     """A cylinder across the vehicle, on both of its sides: the space of a wheel arch."""
-    one = Manifold.cylinder(outer - inner, radius, radius, 40).rotate([-90, 0, 0]).translate([x, inner, z])
+    one = Manifold.cylinder(outer - inner, radius, radius, facets).rotate([-90, 0, 0]).translate([x, inner, z])
     return one + one.mirror([0, 1, 0])
 
 
@@ -257,6 +257,33 @@ def shuttle() -> Manifold:
     return body
 
 
+def bus() -> Manifold:
+    """A city bus with a low floor, 12.0 m × 2.55 m × 3.0 m, of flat panels; mirrors to 1.50 m."""
+    half = 1.275
+    side = [
+        (-5.93, 0.30), (-6.0, 0.45), (-6.0, 2.75), (-5.85, 3.0),
+        (5.70, 3.0), (5.88, 2.75), (6.0, 1.10), (6.0, 0.45), (5.93, 0.30),
+    ]  # fmt: skip
+    plan = [(-6.0, 1.14), (-5.88, half), (5.80, half), (6.0, 1.02)]
+    across = [(half, 0.30), (half, 2.76), (1.20, 2.93), (1.06, 3.0)]
+    body = prism([(x, z) for x, z in side], -half, half, "y")
+    body ^= prism(plan + [(x, -y) for x, y in plan], 0.0, 3.1, "z")
+    body ^= prism(across + [(-y, z) for y, z in across], -6.1, 6.1, "x")
+
+    body -= box([5.2, -1.12, 1.15], [6.1, 1.12, 2.55]) - box([5.2, -1.2, 1.0], [5.86, 1.2, 2.6])  # windscreen
+    body -= box([-6.1, -0.95, 1.50], [-5.95, 0.95, 2.40])  # rear window
+    body -= both(box([-5.3, half - 0.03, 1.25], [4.3, 1.4, 2.45]))  # side windows
+    for x in (-1.2, 1.6, 4.5):  # doors, on the right
+        body -= box([x, -1.4, 0.36], [x + 1.15, 0.04 - half, 2.45])
+    radius = 0.48 * math.cos(math.pi / 12)  # from the axle to the ground
+    for x, width in ((-2.9, 0.58), (3.0, 0.29)):  # twin tyres behind
+        body -= drum(x, radius, 0.56, half - 0.40, 1.4, 12)
+        tyre = Manifold.cylinder(width, 0.48, 0.48, 12).rotate([-90, 15, 0])
+        body += both(tyre.translate([x, half - 0.03 - width, radius])) + axle(x, radius, 1.0)
+    arms = box([5.77, 1.20, 1.80], [5.83, 1.40, 1.86]) + box([5.77, 1.20, 2.04], [5.83, 1.40, 2.10])
+    return body + both(box([5.74, 1.33, 1.75], [5.86, 1.50, 2.15]) + arms)
+
+
 def triangles_of(solid: Manifold) -> tuple[Array, NDArray[np.int64]]:
     """Vertices (V, 3) on the grid of coordinates, and triangles (T, 3), with none left that the grid has flattened."""
     mesh = solid.simplify(TOLERANCE_M).to_mesh64()
@@ -278,7 +305,7 @@ def save(solid: Manifold, path: Path) -> int:
     return len(triangles)
 
 
-VEHICLES = {"sedan": sedan, "truck": truck, "shuttle": shuttle}
+VEHICLES = {"sedan": sedan, "truck": truck, "shuttle": shuttle, "bus": bus}
 
 
 def main(folder: Path) -> None:

@@ -18,7 +18,8 @@ from scipy.stats import spearmanr
 
 from lidarcfg.placement.detection import DetectionObject, detection
 from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.optimize import Placement, optimize
+from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import segment
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure

@@ -77,17 +77,19 @@ class ManifestInputs:
         own = [manifest_path(output), *(output.with_name(output.name + suffix) for suffix in SIDECAR_SUFFIXES)]
         return [path for path in own if os.path.realpath(path) not in kept]
 
-    def save(self, output: Path, drive: Drive, on_warning: Callable[[str], None]) -> None:
-        """Write the manifest and the files beside it, or warn of what is missing."""
+    def save(self, output: Path, drive: Drive, on_warning: Callable[[str], None]) -> list[Path]:
+        """Write the manifest and the files beside it, or warn of what is missing; return what was written."""
         manifest = manifest_path(output)
         if self._obstacle:
             on_warning(f"{manifest}: is not written, as {self._obstacle}; decode needs to be told")
-            return
+            return []
         if not self.files["scene"]:
             on_warning(f"{manifest}: names no scene, which is in no file; view and convert need it")
         start = datetime.fromtimestamp(drive.start_ns // SECOND_NS, UTC).replace(tzinfo=None).isoformat()
         values = {"at": self.at, "start": start, "duration_s": drive.duration_ns / SECOND_NS}
         save_manifest(output, self.files, drive, values)
+        suffixes = [given.suffix for given in self.files.values() if isinstance(given, SidecarInput)]
+        return [manifest, *(output.with_name(output.name + suffix) for suffix in suffixes)]
 
     @property
     def _obstacle(self) -> str | None:

@@ -82,7 +82,7 @@ def convert(
         from lidarcfg.io.drive_dataset import load_drive
 
         made = load_drive(source, drive, truth, model, warnings.append)
-        found = formats.save_dataset(output, form, made, False, warnings.append)
+        found = str(formats.save_dataset(output, form, made, False, warnings.append))
     else:
         found = formats.convert(source, output, form, rig, model, warnings.append)
     if not quiet:

@@ -65,7 +65,6 @@ def evaluate(
             to_json,
         )
         from lidarcfg.report.tables import print_comparison, print_evaluation
-        from lidarcfg.requirements.verify import Verifier
         from lidarcfg.sensors.rig import load_rig
 
         loaded = load_study(study)
@@ -79,12 +78,7 @@ def evaluate(
         on_progress(0.0, f"evaluating {rig}")
         found = evaluation(loaded, mounted, tolerance, on_progress=lambda done: on_progress(done, f"evaluating {rig}"))
         shown = report_inputs(loaded, mounted, found) if output or beside else None
-        if shown:
-            found = shown.evaluation
-        else:
-            found = replace(found, robustness=robustness(loaded, mounted))
-            if loaded.requirements:
-                found = replace(found, verdict=Verifier(loaded.requirements).verify(mounted.mounts, on_progress))
+        found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
         if output and shown:
             commands = Commands(command_line(), command_line())
             save_evaluation(loaded, mounted, shown, output, commands, beside)
@@ -118,7 +112,7 @@ def check_rig(study: "Study", path: Path, rig: "Rig") -> None:
     from lidarcfg.placement.checks import rig_warnings
     from lidarcfg.world.vehicle import check_outside
 
-    for message in rig_warnings(path, study.requirements.site.ground_m if study.requirements else None):
+    for message in rig_warnings(path, study.requirements.site.ground_m if study.requirements else 0.0):
         warn(message)
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts, path)

@@ -26,7 +26,7 @@ SCHEMAS = (*TEMPLATES, "requirements", "scenario", "vehicle", "trajectory", "pla
 @cloup.option(
     "--vehicle",
     metavar="NAME",
-    help="For a study: a body from the package (sedan, shuttle, truck), or a mesh file of your own.",
+    help="For a study: a body from the package (bus, sedan, shuttle, truck), or a mesh file of your own.",
 )
 @quiet_option
 def init(kind: str, output: Path, vehicle: str | None, quiet: bool) -> None:
@@ -83,7 +83,7 @@ def validate(files: tuple[Path, ...], quiet: bool) -> None:
       lidarcfg schema study -o out/study.schema.json
     """
 )
-@cloup.argument("kind", type=click.Choice(SCHEMAS), help="The kind of file.")
+@cloup.argument("kind", type=click.Choice(SCHEMAS), metavar="KIND", help=f"Of file: {', '.join(SCHEMAS)}.")
 @cloup.option("-o", "--output", type=FILE, metavar="FILE", help="Where to write it.  [default: standard output]")
 def schema(kind: str, output: Path | None) -> None:
     """Print the JSON Schema of a kind of file.

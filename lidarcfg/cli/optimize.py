@@ -19,11 +19,14 @@ from lidarcfg.cli.options import (
     warn_of,
 )
 from lidarcfg.cli.progress import Interrupts, progress
+from lidarcfg.cli.verify import NOT_MET
 
 if TYPE_CHECKING:
+    from lidarcfg.placement.cheapest import CheapestRun
+    from lidarcfg.placement.combinations import Option
     from lidarcfg.placement.front import FrontRun, Point
-    from lidarcfg.placement.optimize import Cycle, Log, Placement
     from lidarcfg.placement.report_inputs import ReportInputs
+    from lidarcfg.placement.search_run import Cycle, Log, Placement
     from lidarcfg.placement.study import Study
     from lidarcfg.placement.study_file import Solver
     from lidarcfg.sensors.rig import Rig
@@ -54,6 +57,11 @@ QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on th
         metavar="N",
         help="Threads; the result is the same.  [default: all cores]",
     ),
+    cloup.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="The Dask scheduler of a cluster, tcp://HOST:PORT, to search combinations for the cheapest rig on.",
+    ),
     cloup.option("--resume", type=FILE, metavar="DIR", help="Continue the search whose results are in DIR."),
 )
 @cloup.option_group(
@@ -75,20 +83,28 @@ def optimize(
     cycles: int | None,
     evaluations: int | None,
     seconds: float | None,
+    scheduler: str | None,
     resume: Path | None,
     baseline: Path | None,
     quiet: bool,
 ) -> None:
-    """Find the poses that minimise the largest unseen subspace.
+    """Find the poses that meet the requirements, or that minimise the largest unseen subspace.
+
+    If the study has requirements, the rig meets them if one is found that does; then its objective is as small as can
+    be, or without an objective the least margin as large. The plain rigs that an engineer would try come first. Exits
+    with 3 where a requirement is not met: the rig that comes closest is written all the same.
 
     Ctrl-C ends the search and keeps the best rig found. rig.yaml and search.npz are updated every few seconds, so
     --resume can continue even a search that was killed.
 
     If the study lets sensors be chosen (`choose`), the result is a front: the rigs that no other rig beats in both
     price and objective. front.html shows them, and points/ has a folder for each. All combinations share the budget.
+    With requirements it is the cheapest rig that meets all of them, and combinations.csv says how long each cheaper
+    combination was searched, and how short it fell.
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
+        from lidarcfg.placement.achievable import unachievable
         from lidarcfg.placement.checks import study_warnings
         from lidarcfg.placement.study import load_study, with_solver
         from lidarcfg.report.comparison import with_baseline
@@ -99,15 +115,25 @@ def optimize(
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
         messages = list(study_warnings(study, loaded))
+        messages += [f"{study}: {name}: not achievable: {why}" for name, why in unachievable(loaded).items()]
     warn_of(loaded.vehicle)
     for message in messages:
         warn(message)
     folder = output or resume or Path("out") / loaded.name
+    if scheduler and not (loaded.to_choose and loaded.requirements):
+        raise click.UsageError(
+            "--scheduler is for studies with requirements and models to choose; see sweep for others"
+        )
     if loaded.to_choose:
         if baseline:
             raise click.UsageError(
                 "--baseline is for one rig, and this study has a front of them; compare these with it"
             )
+        if loaded.requirements:
+            if resume:
+                raise click.UsageError("--resume is for one rig's search; that for the cheapest rig begins anew")
+            _find_cheapest(loaded, study, folder, scheduler, threads, quiet)
+            return
         _find_front(loaded, study, folder, resume, threads, quiet)
         return
     log = load_log(loaded, resume) if resume else None
@@ -128,6 +154,8 @@ def optimize(
     if found.interrupted:
         click.echo("interrupted; the best rig found is kept", err=True)
         sys.exit(130)
+    if found.verdict and not found.verdict.passed:
+        sys.exit(NOT_MET)
 
 
 def _search(
@@ -136,9 +164,9 @@ def _search(
     """The best rig, with progress; what is found so far is saved every few seconds."""
     import time
 
-    from lidarcfg.placement.optimize import Budget
     from lidarcfg.placement.optimize import optimize as search
     from lidarcfg.placement.report_inputs import report_inputs
+    from lidarcfg.placement.search_run import Budget
     from lidarcfg.report.results import save_progress
 
     saved_s = time.monotonic()
@@ -181,7 +209,59 @@ def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placeme
 def _search_line(cycle: "Cycle") -> str:
     """The state of the search."""
     state = f"cycle {cycle.cycle}  best {cycle.best:.4f}  mean {cycle.mean:.4f}"
+    if (short := getattr(cycle, "shortfall", 0.0)) > 0:
+        state = f"cycle {cycle.cycle}  short by {short:.4f}"
     return f"{state}  {cycle.evaluations / cycle.seconds:,.0f} evaluations/s"
+
+
+def _find_cheapest(
+    study: "Study", path: Path, folder: Path, scheduler: str | None, threads: int | None, quiet: bool
+) -> None:
+    """Search for the cheapest rig that meets all requirements, write the folder, print the verdict and the table.
+
+    Exits with 130 after Ctrl-C, and with 3 where a requirement is not met.
+    """
+    from lidarcfg.placement.cheapest import cheapest
+    from lidarcfg.placement.report_inputs import report_inputs
+    from lidarcfg.placement.sweep import Cluster
+    from lidarcfg.report.cheapest import COMBINATIONS, print_cheapest, save_combinations
+    from lidarcfg.report.document import Commands
+    from lidarcfg.report.results import RESULTS, check_writable, save_placement
+    from lidarcfg.report.tables import print_placement
+
+    check_writable(folder, (*RESULTS, COMBINATIONS))
+    with progress(quiet) as on_progress:
+
+        def on_effort(run: "CheapestRun", option: "Option") -> None:
+            best = "none meets all yet" if run.found is None else f"{run.options[run.found].name} meets all"
+            on_progress(run.spent, f"round {run.round + 1}: {option.name}; {best}")
+
+        workers = Cluster(scheduler) if scheduler else None
+        try:
+            found = cheapest(study, threads, on_effort, workers)
+        finally:
+            if workers:
+                workers.close()
+        if found.interrupted:
+            click.get_current_context().ensure_object(Interrupts).take()
+        on_progress(1.0, f"writing {folder}")
+        chosen = found.combination.study
+        placed = found.placement
+        shown = report_inputs(chosen, placed.rig, placed.evaluation, placed.midpoint_max_vsr_m)
+        words = ("--solver", study.solver.method, "--seed", study.solver.seed)
+        budget = ("--evaluations", max(found.evaluations, 1))
+        again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words, *budget)))
+        save_placement(chosen, placed, shown, folder, Commands(command_line(), again))
+        save_combinations(found, folder)
+    if not quiet:
+        print_placement(chosen, placed, shown.evaluation)
+        print_cheapest(found)
+        click.echo(f"written to {folder}/: report.html rig.yaml result.json {COMBINATIONS}")
+    if found.interrupted:
+        click.echo("interrupted; the best rig so far is kept", err=True)
+        sys.exit(130)
+    if not found.meets:
+        sys.exit(NOT_MET)
 
 
 def _find_front(

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shutil import copyfileobj
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory, check_regular
 from lidarcfg.units import SECOND_NS
+
+if TYPE_CHECKING:
+    import open3d
 
 SUFFIXES = (".ply", ".pcd", ".npz")
 FIELDS: dict[str, Any] = {
@@ -74,6 +77,38 @@ class PointCloud:
         """No points of these sensors."""
         columns: dict[str, Any] = {key: np.empty((0, 3) if key == "xyz" else 0, kind) for key, kind in FIELDS.items()}
         return cls(sensor_names=sensor_names, **columns)
+
+    @classmethod
+    def from_open3d(
+        cls,
+        cloud: "open3d.t.geometry.PointCloud | open3d.geometry.PointCloud",
+        sensor_names: Sequence[str] = (),
+        object_names: Sequence[str] = (),
+        on_warning: Callable[[str], None] = print,
+    ) -> "PointCloud":
+        """The points of Open3D, with the attributes that `to_open3d` gives or that Open3D reads of our files.
+
+        Times are exact. Names of other programs are understood as those of their files are; what is lacking is 0, and
+        `on_warning` gets one line on that. Attributes of one value a point that no field holds are columns of `driver`.
+        Sensors and objects without names are called by their numbers. Raises CloudError.
+        """
+        from lidarcfg.clouds.tensors import SOURCE, read_tensors
+
+        columns, driver = read_tensors(cloud, sensor_names, object_names, on_warning)
+        return replace(checked(SOURCE, columns, allow_empty=True), driver=driver)
+
+    def to_open3d(self) -> "open3d.t.geometry.PointCloud":
+        """A copy as Open3D's: `positions` (N, 3) in float64, all other fields (N, 1) by their names and in their types.
+
+        `object` is there if it is known, and so are the columns of `driver`. Names of sensors and objects are not:
+        give them to `from_open3d`.
+        """
+        from lidarcfg.clouds.tensors import tensors
+
+        columns = {key: getattr(self, key) for key in FIELDS if key != "xyz"}
+        if self.object is not None:
+            columns["object"] = self.object
+        return tensors(self.xyz, columns | dict(self.driver))
 
     def rows(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> "PointCloud":
         """Some of the points."""
@@ -251,7 +286,7 @@ def _check_unpacked(path: Path, packed: int, sizes: Sequence[int]) -> None:
     check_memory(str(path), UNPACKED_COPIES * unpacked)
 
 
-def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> PointCloud:
+def checked(path: Path | str, columns: dict[str, Any], allow_empty: bool = False) -> PointCloud:
     """The columns as a cloud. Raises CloudError unless each holds what its field allows."""
     missing = [key for key in (*FIELDS, "sensor_names") if key not in columns]
     if missing:
@@ -287,7 +322,7 @@ def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> P
     return PointCloud(sensor_names=names, **fields)
 
 
-def _checked_objects(path: Path, column: NDArray[Any], points: int, names: int) -> NDArray[np.int32]:
+def _checked_objects(path: Path | str, column: NDArray[Any], points: int, names: int) -> NDArray[np.int32]:
     """The objects of points. Raises CloudError unless each is -1 or has a name."""
     if column.dtype.kind not in "iu" or column.shape != (points,):
         raise CloudError(f"{path}: object is not {points:,} integers, one a point")
@@ -297,7 +332,7 @@ def _checked_objects(path: Path, column: NDArray[Any], points: int, names: int) 
     return np.ascontiguousarray(column, np.int32)
 
 
-def _names(path: Path, names: Any, kind: str = "sensor") -> tuple[str, ...]:
+def _names(path: Path | str, names: Any, kind: str = "sensor") -> tuple[str, ...]:
     """The names of sensors or objects. Raises CloudError unless they are texts that can be written."""
     if isinstance(names, np.ndarray):
         names = names.tolist() if names.ndim == 1 else [names]

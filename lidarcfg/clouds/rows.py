@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,18 +47,40 @@ def read_columns(path: Path, on_warning: Callable[[str], None]) -> dict[str, Any
     """
     rows, comments = read_rows(path)
     fields = {_plain(name): rows[name] for name in rows.dtype.names or () if rows.dtype[name].kind in "iuf"}
-    names = _listed(path, comments, "sensor")
-    objects = _listed(path, comments, "object")
     if absent := [name for name in "xyz" if name not in fields]:
         raise CloudError(f"{path}: missing: {', '.join(absent)}")
     xyz = np.stack([fields.pop(name) for name in "xyz"], axis=1, dtype=np.float64)
+    names = Names(_listed(path, comments, "sensor"), _listed(path, comments, "object"), path.stem)
+    columns, others, remarks = columns_of(str(path), xyz, fields, names)
+    remarks += [f"{', '.join(others)} ignored"] * bool(others)
+    if remarks:
+        on_warning(f"{path}: {'; '.join(remarks)}")
+    return columns
+
+
+class Names(NamedTuple):
+    """The names that come with points."""
+
+    sensors: list[Any] | None  # None: the points are another program's
+    objects: list[Any] | None  # None: what the points are of is not known
+    source: str  # of the only sensor, where there is no other name
+
+
+def columns_of(
+    source: str, xyz: Array, fields: dict[str, Column], names: Names
+) -> tuple[dict[str, Any], dict[str, Column], list[str]]:
+    """The columns of a cloud of points (N, 3) with fields (N,) by their names in lower case, from a source.
+
+    Also the fields that no column holds, and remarks on what was assumed, scaled or dropped. Raises CloudError.
+    """
     remarks = []
-    if names is None and not (finite := np.isfinite(xyz).all(axis=1)).all():
+    if names.sensors is None and not (finite := np.isfinite(xyz).all(axis=1)).all():
         remarks.append(f"{(~finite).sum()} points without coordinates are dropped")
         xyz = xyz[finite]
         fields = {name: field[finite] for name, field in fields.items()}
+    fields = dict(fields)
     if fields.keys() >= set(TIME_PARTS):
-        fields["time_ns"] = _joined_ns(path, *(fields.pop(name) for name in TIME_PARTS))
+        fields["time_ns"] = _joined_ns(source, *(fields.pop(name) for name in TIME_PARTS))
 
     columns: dict[str, Any] = {"xyz": xyz}
     lacking = []
@@ -68,19 +90,17 @@ def read_columns(path: Path, on_warning: Callable[[str], None]) -> dict[str, Any
             lacking.append(key)
             columns[key] = np.zeros(len(xyz), np.uint8)
         elif key == "time_ns":
-            columns[key] = _nanoseconds(path, name, fields.pop(name), remarks)
-        elif key == "intensity" and names is None:
-            columns[key] = _intensity(path, name, fields.pop(name), remarks)
+            columns[key] = _nanoseconds(source, name, fields.pop(name), remarks)
+        elif key == "intensity" and names.sensors is None:
+            columns[key] = _intensity(source, name, fields.pop(name), remarks)
         else:
-            columns[key] = _whole(path, name, fields.pop(name))
-    if objects is not None and "object" in fields:  # ours, with ground truth
-        columns |= {"object": _whole(path, "object", fields.pop("object")), "object_names": objects}
+            columns[key] = _whole(source, name, fields.pop(name))
+    if names.objects is not None and "object" in fields:  # ours, with ground truth
+        columns |= {"object": _whole(source, "object", fields.pop("object")), "object_names": names.objects}
     if lacking:
         remarks.insert(0, f"has no {', '.join(lacking)}; 0 is assumed")
-    remarks += [f"{', '.join(fields)} ignored"] * bool(fields)
-    if remarks:
-        on_warning(f"{path}: {'; '.join(remarks)}")
-    return columns | {"sensor_names": names or _numbered(path, columns["sensor"], "sensor" in lacking)}
+    columns["sensor_names"] = names.sensors or _numbered(names.source, columns["sensor"], "sensor" in lacking)
+    return columns, fields, remarks
 
 
 def read_rows(path: Path) -> tuple[Column, list[str]]:
@@ -147,38 +167,38 @@ def _listed(path: Path, comments: list[str], kind: str) -> list[Any] | None:
         raise CloudError(f"{path}: the {kind}s' names are not JSON") from None
 
 
-def _numbered(path: Path, sensor: Column, unknown: bool) -> list[str]:
-    """Names for sensors without any: their numbers, or without numbers the file's name."""
+def _numbered(source: str, sensor: Column, unknown: bool) -> list[str]:
+    """Names for sensors without any: their numbers, or without numbers the source's name."""
     most = int(sensor.max(initial=0))
-    return [path.stem] if unknown or not 0 < most <= np.iinfo(np.uint16).max else [str(i) for i in range(most + 1)]
+    return [source] if unknown or not 0 < most <= np.iinfo(np.uint16).max else [str(i) for i in range(most + 1)]
 
 
-def _joined_ns(path: Path, time_s: Column, rest_ns: Column) -> Column:
+def _joined_ns(source: str, time_s: Column, rest_ns: Column) -> Column:
     """Whole seconds, in floats, and the rest of one, exactly. Raises CloudError."""
     if not (np.isfinite(time_s).all() and ((abs(time_s) < SECONDS_MAX) & (np.floor(time_s) == time_s)).all()):
-        raise CloudError(f"{path}: allowed for time_s are whole numbers below {SECONDS_MAX}")
+        raise CloudError(f"{source}: allowed for time_s are whole numbers below {SECONDS_MAX}")
     if rest_ns.dtype.kind not in "iu" or not ((rest_ns >= 0) & (rest_ns < SECOND_NS)).all():
-        raise CloudError(f"{path}: allowed for time_rest_ns are the integers 0 to {SECOND_NS - 1}")
+        raise CloudError(f"{source}: allowed for time_rest_ns are the integers 0 to {SECOND_NS - 1}")
     return np.asarray(time_s.astype(np.int64) * SECOND_NS + rest_ns.astype(np.int64))
 
 
-def _nanoseconds(path: Path, name: str, column: Column, remarks: list[str]) -> Column:
+def _nanoseconds(source: str, name: str, column: Column, remarks: list[str]) -> Column:
     """Integers as they are; floats, which are of seconds or, where they are large, of nanoseconds."""
     if column.dtype.kind != "f":
         return column
     unit_ns = 1 if abs(column).max(initial=0) > NANOSECONDS_FROM else SECOND_NS
     if not (np.isfinite(column).all() and (abs(column) < SECONDS_MAX * SECOND_NS / unit_ns).all()):
-        raise CloudError(f"{path}: {name} holds times that are not finite, or beyond 292 years")
+        raise CloudError(f"{source}: {name} holds times that are not finite, or beyond 292 years")
     remarks.append(f"{name} is taken for {'nanoseconds' if unit_ns == 1 else 'seconds'}")
     whole = np.floor(column.astype(np.float64))
     return np.asarray(whole.astype(np.int64) * unit_ns + np.rint((column - whole) * unit_ns).astype(np.int64))
 
 
-def _intensity(path: Path, name: str, column: Column, remarks: list[str]) -> Column:
+def _intensity(source: str, name: str, column: Column, remarks: list[str]) -> Column:
     """0 to 255 as it is, rounded; fractions of 1, and what goes beyond 0 to 255, scaled to that."""
     values: Array = column.astype(np.float64)
     if not np.isfinite(values).all():
-        raise CloudError(f"{path}: {name} is not finite")
+        raise CloudError(f"{source}: {name} is not finite")
     low = float(values.min(initial=0))
     high = float(values.max(initial=0))
     fractions = bool((values % 1).any())
@@ -191,10 +211,10 @@ def _intensity(path: Path, name: str, column: Column, remarks: list[str]) -> Col
     return np.rint(values).astype(np.int64)
 
 
-def _whole(path: Path, name: str, column: Column) -> Column:
+def _whole(source: str, name: str, column: Column) -> Column:
     """Integers, which other programs write as floats."""
     if column.dtype.kind != "f":
         return column
     if not (np.isfinite(column).all() and (abs(column) <= WHOLE_MAX).all() and (column % 1 == 0).all()):
-        raise CloudError(f"{path}: {name} holds something other than whole numbers")
+        raise CloudError(f"{source}: {name} holds something other than whole numbers")
     return column.astype(np.int64)

@@ -7,10 +7,12 @@ numbers. Errors: repeated keys, NaN, infinities, and tags outside the core schem
 
 import math
 import re
+from collections.abc import Mapping
 from copy import copy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from yaml.composer import Composer
 from yaml.parser import Parser
@@ -123,13 +125,21 @@ class Document:
             raise ConfigError(f"{name}:1:1: the file is empty")
         self.value = self._value(root, (), ())
 
+    @classmethod
+    def of(cls, values: Mapping[Any, Any], name: str) -> "Document":
+        """Values that are in no text: what Python has for maps, lists and numbers. Errors say no line."""
+        out = cls("{}", name)
+        out.places = {}
+        out.value = _plain_value(values)
+        return out
+
     def error(self, key: Key, what: str) -> ConfigError:
         """The error `what` at `key`."""
         if other := self._other(key):
             return other[0].error(other[1], what)
         line, column = self.place(key)
-        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
-        error = ConfigError(f"{self.name}:{line}:{column}: {path + ': ' if path else ''}{what}")
+        at = f"{self.name}:{line}:{column}" if self.places else self.name
+        error = ConfigError(f"{at}: {key_text(key)}{what}")
         error.at = self.name, key, what
         return error
 
@@ -221,6 +231,23 @@ class Document:
         except (ValueError, KeyError):
             raise self.error(key, f"{text[:40]!r} is not a value of type {kind}") from None
         raise self.error(key, f"tag {node.tag!r} is not allowed; allowed are plain values, lists and maps")
+
+
+def key_text(key: Key) -> str:
+    """A key as errors name it, with a colon; nothing for the whole file."""
+    path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
+    return f"{path}: " if path else ""
+
+
+def _plain_value(value: Any) -> Any:
+    """A value as YAML has it: lists as tuples, numpy's numbers and arrays as Python's; anything else as it is."""
+    if isinstance(value, Mapping):
+        return {name: _plain_value(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(map(_plain_value, value))
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain_value(value.tolist()) if value.ndim else value.item()
+    return str(value) if isinstance(value, Path) else value
 
 
 def _with(values: Any, key: Key, value: Any) -> Any:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, SerializationInfo, ValidationError
 from pydantic_core import PydanticCustomError
 
-from lidarcfg.config.document import Document, Key, document, read_text
+from lidarcfg.config.document import Document, Key, document, key_text, read_text
 from lidarcfg.config.kinds import OTHERS, kind_of
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.files import example
@@ -30,13 +30,13 @@ Angle = Annotated[float, Field(ge=-ANGLE_MAX, le=ANGLE_MAX)]
 Angles = tuple[Angle, Angle, Angle]
 
 
-def _path_from(name: str, info: SerializationInfo) -> str:
+def path_from(name: str, info: SerializationInfo) -> str:
     """The absolute path of a file that a file in the context's folder names; without a folder, the name as it is."""
     folder: Path | None = info.context
     return name if folder is None else os.path.realpath(example(folder / name))
 
 
-FileName = Annotated[str, Field(min_length=1), PlainSerializer(_path_from)]  # of a file; see whole_values
+FileName = Annotated[str, Field(min_length=1), PlainSerializer(path_from)]  # of a file; see whole_values
 
 
 class Model(BaseModel):
@@ -48,6 +48,7 @@ class Model(BaseModel):
 
 
 M = TypeVar("M", bound=Model)
+Given = str | Path | Mapping[str, Any]  # a file by its path, or its keys and values
 
 
 def whole_values(model: Model, folder: Path) -> dict[str, Any]:
@@ -106,6 +107,20 @@ def load(path: str | Path, model: type[M], own: bool = False) -> M:
     return loads(read_text(path), model, str(path), own)
 
 
+def load_or_check(given: Given, model: type[M]) -> tuple[M, Path]:
+    """A file, or a dict with its keys, as a `model`; and the path that errors name and that other paths start from.
+
+    Of a dict this is the kind of file, in the working folder. Raises ConfigError, also for anything else.
+    """
+    if isinstance(given, Mapping):
+        return checked(Document.of(given, model.kind), model), Path(model.kind)
+    if isinstance(given, str | Path):
+        path = example(given)
+        return load(path, model), path
+    what = f"a {type(given).__name__} is no {model.kind}"
+    raise ConfigError(f"{what}; allowed: the path of its file, a dict with the file's keys, or what is loaded of them")
+
+
 class _Keys(Model):
     """A file of any kind."""
 
@@ -127,7 +142,7 @@ def all_errors_at(path: str | Path, found: Sequence[tuple[Key, object]]) -> list
     try:
         read = document(path)
     except ConfigError:  # a pipe cannot be read twice
-        return [ConfigError(f"{path}: {what}") for _, what in found]
+        return [ConfigError(f"{path}: {key_text(key)}{what}") for key, what in found]
     return [read.error(key, str(what)) for key, what in found]
 
 

@@ -1,6 +1,7 @@
 """From a rig and a scene, or their files, to a capture or to points with ground truth, in one call."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated
 from lidarcfg.capture.manifest import manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.config.models import Given
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.files import check_replaceable, loaded, remove_outdated
 from lidarcfg.geometry import Array
@@ -23,16 +25,25 @@ from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import rig_vehicle
 
 
+@dataclass(frozen=True)
+class Exported:
+    """What an export has written."""
+
+    files: tuple[Path, ...]  # the output first; then those that readers need beside it, and the manifest
+    count: int
+    what: str  # is counted: Ethernet frames of a pcap, points, messages of a bag, or scans of a folder
+
+
 def export(
-    rig: Rig | str | Path,
-    scene: Scene | str | Path,
+    rig: Rig | Given,
+    scene: Scene | Given,
     output: str | Path,
     duration_s: float,
     at: Array | Trajectory | None = None,
     to: str | None = None,
     on_warning: Callable[[str], None] = print,
     trajectory: str | Path | None = None,
-) -> None:
+) -> Exported:
     """Write what a rig's sensors send, or see, in a scene: the formats of `lidarcfg export`, by suffix or `to`.
 
     The vehicle stands at `at`, T_world_vehicle (4, 4), at the origin without it; or it moves from there as the file
@@ -43,6 +54,8 @@ def export(
     .tum. That cannot say a pose that is not rigid, sensors that are in no file but have more than elevations, and a
     scene that is no longer that of its file but names others: `on_warning` gets a line about what the manifest lacks
     then, or why there is none. Raises LidarcfgError.
+
+    Rig and scene are files, dicts with their keys, or what is loaded from them. Returns what was written.
     """
     if not 0 < duration_s <= 86_400:
         raise LidarcfgError(f"duration_s is {duration_s:g}; allowed: above 0, at most 86400")
@@ -50,8 +63,8 @@ def export(
         raise LidarcfgError("at is a trajectory, and a file of another is given; allowed: one of them")
     output = Path(output)
     given = [Path(one) if isinstance(one, str | Path) else None for one in (rig, scene, trajectory)]
-    rig = loaded(rig, load_rig)
-    scene = loaded(scene, load_scene)
+    rig = loaded(rig, load_rig, Rig)
+    scene = loaded(scene, load_scene, Scene)
     if isinstance(at, Trajectory):
         moved = at
     else:
@@ -62,10 +75,13 @@ def export(
     inputs = ManifestInputs.of(drive, output, *given)
     if output.suffix != ".pcap" or to:
         form = formats.format_of("drive", output, to)
-        formats.save_dataset(output, form, DriveDataset(drive, simulated_scans(drive)), False, on_warning)
+        dataset = DriveDataset(drive, simulated_scans(drive))
+        written = formats.save_dataset(output, form, dataset, False, on_warning)
+        companions: list[Path] = []
     else:
         streams = simulated_frames(rig, scene, moved, drive.duration_ns, vehicle=drive.vehicle)
-        write_pcap(output, in_time_order(streams))
-        save_sidecar_files(output, rig.mounts)
+        written = formats.Amount(write_pcap(output, in_time_order(streams)), "frames")
+        companions = save_sidecar_files(output, rig.mounts)
     remove_outdated(inputs.outdated(output))
-    inputs.save(output, drive, on_warning)
+    files = output, *companions, *inputs.save(output, drive, on_warning)
+    return Exported(files, written.count, written.what)

@@ -146,22 +146,33 @@ def convert(
     return f"{count:,} messages"
 
 
-def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bool, on_warning: OnWarning) -> str:
+@dataclass(frozen=True)
+class Amount:
+    """How much was written, such as 1,234 points."""
+
+    count: int
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.count:,} {self.what}"
+
+
+def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bool, on_warning: OnWarning) -> Amount:
     """Write a drive in a format, whole or not at all, and return what it holds. Raises LidarcfgError."""
     if form.lacks:
         on_warning(f"{output}: {form.name} has no {form.lacks}")
     if form.name in CLOUDS:
         from lidarcfg.io.drive_dataset import save_points
 
-        return f"{save_points(output, dataset, deskew):,} points"
+        return Amount(save_points(output, dataset, deskew), "points")
     if form.name in FOLDERS:
-        return f"{_save_folder(output, form.name, dataset):,} scans"
+        return Amount(_save_folder(output, form.name, dataset), "scans")
     from lidarcfg.io.bag import dataset_messages, write_bag, write_mcap
 
     made = dataset_messages(dataset, output, on_warning)
     if form.name == "mcap":
-        return f"{write_mcap(output, made):,} messages"
-    return f"{write_bag(output, STORAGES[form.name], made):,} messages"
+        return Amount(write_mcap(output, made), "messages")
+    return Amount(write_bag(output, STORAGES[form.name], made), "messages")
 
 
 def _save_folder(output: Path, name: str, dataset: "DriveDataset") -> int:

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice, product
 from pathlib import Path
@@ -35,7 +35,8 @@ FEW_S = 0.01  # an evaluation this quick is never called slow
 LONG_S = 20.0  # of processor time, to evaluate one rig
 SAMPLES = (64, 512, 4096)  # of places of objects, by which that time is estimated
 SURE_S = 0.5  # of them that took so long, no more are needed
-HIGH_M = 40.0  # above the ground: no vehicle is so high
+HIGHEST_M = 40.0  # above the ground: no vehicle carries a sensor there
+RIGHT_RAD = math.pi / 4  # whole multiples of it look like radians with two decimals, too
 STEEPEST_RAD = 0.6  # no beam table is this narrow in degrees: such elevations look like radians
 
 
@@ -49,12 +50,12 @@ def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
 
 
 def _of_study(file: StudyFile, study: Study) -> Iterator[Suspect]:
+    bounds = [bound for group in file.sensors for bound in (group.min, group.max) if bound]
+    in_degrees = _are_in_degrees(bounds)
     for i, group in enumerate(file.sensors):
         for bound in ("min", "max"):
-            yield from _angles(("sensors", i, bound), getattr(group, bound))
-            if study.requirements and getattr(group, bound):
-                height_m = getattr(group, bound).position_m[2]
-                yield from _height(("sensors", i, bound), height_m, study.requirements.site.ground_m)
+            yield from _angles(("sensors", i, bound), getattr(group, bound), in_degrees)
+        yield from _heights(i, group, file.region.min_m[2])
         yield from _elevations(("sensors", i), group)
         yield from _places(i, group, study, file.region.exclude)
     for i, box in enumerate(file.region.exclude):
@@ -65,8 +66,8 @@ def _of_study(file: StudyFile, study: Study) -> Iterator[Suspect]:
     yield from _many_returns(study)
 
 
-def rig_warnings(path: str | Path, ground_m: float | None = None) -> Iterator[str]:
-    """Warnings about a rig's file; with the height of the ground, if it is known."""
+def rig_warnings(path: str | Path, ground_m: float = 0.0) -> Iterator[str]:
+    """Warnings about a rig's file; the ground is at this height of the vehicle frame."""
     path = example(path)
     yield from _lines(path, _of_rig(load(path, RigFile), ground_m))
 
@@ -78,47 +79,69 @@ def _lines(path: Path, found: Iterator[Suspect]) -> Iterator[str]:
         yield f"{path}: {more:,} more warnings"
 
 
-def _of_rig(file: RigFile, ground_m: float | None) -> Iterator[Suspect]:
+def _of_rig(file: RigFile, ground_m: float) -> Iterator[Suspect]:
+    in_degrees = _are_in_degrees(file.sensors)
     for i, mount in enumerate(file.sensors):
-        if ground_m is not None:
-            yield from _height(("sensors", i), mount.position_m[2], ground_m)
-        yield from _angles(("sensors", i), mount)
+        yield from _angles(("sensors", i), mount, in_degrees)
+        yield from _height(("sensors", i, "position_m", 2), mount.position_m[2], ground_m, "")
         yield from _elevations(("sensors", i), mount)
 
 
-def _angles(at: Key, item: PoseBound | MountFile | None) -> Iterator[Suspect]:
-    """Degrees that look like radians, and the reverse."""
+def _angles(at: Key, item: PoseBound | MountFile | None, in_degrees: bool) -> Iterator[Suspect]:
+    """Degrees that look like radians, and the reverse; `in_degrees`: others of the file are degrees."""
     if item is None:
         return
     if item.rpy_rad and max(map(abs, item.rpy_rad)) > 2 * math.pi + 1e-6:
         yield (*at, "rpy_rad"), f"{list(item.rpy_rad)} is more than a turn; degrees go to rpy_deg"
-    suspects = [angle for angle in item.rpy_deg or () if _is_in_radians(angle)]
-    if suspects and max(map(abs, item.rpy_deg or ())) <= math.pi + 1e-3:
-        what = f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians, which go to rpy_rad"
-        yield (*at, "rpy_deg"), what
-
-
-def _height(at: Key, z_m: float, ground_m: float) -> Iterator[Suspect]:
-    """A sensor below the ground, or higher than any vehicle."""
-    if z_m < ground_m:
-        yield (*at, "position_m", 2), f"{z_m:g} is {ground_m - z_m:.4g} m below the ground"
-    elif z_m > ground_m + HIGH_M:
-        yield (*at, "position_m", 2), f"{z_m:g} is {z_m - ground_m:.4g} m above the ground, higher than any vehicle"
+    suspects = [angle for angle in item.rpy_deg or () if _is_in_radians(angle, in_degrees)]
+    if not suspects:
+        return
+    what = f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians"
+    if max(map(abs, item.rpy_deg or ())) <= math.pi + 1e-3:
+        yield (*at, "rpy_deg"), f"{what}, which go to rpy_rad"
+    else:
+        yield (*at, "rpy_deg"), f"{what}, beside others that are degrees"
 
 
 def _turns(item: RequirementFile) -> Iterator[Suspect]:
     """Angles of a requirement that look like radians."""
     for key in ("headings_deg", "sector_deg"):
         turns = getattr(item, key) or ()
-        suspects = [angle for angle in turns if _is_in_radians(angle)]
+        suspects = [angle for angle in turns if _is_in_radians(angle, in_degrees=False)]
         if suspects:
             yield (key,), f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians; give degrees"
 
 
-def _is_in_radians(angle: float) -> bool:
-    """Whether an angle is a multiple of 15° in radians, with three decimals or more."""
-    steps = angle / (math.pi / 12)
-    return round(steps) != 0 and abs(angle - round(steps) * math.pi / 12) < 6e-4 and angle != round(angle, 2)
+def _are_in_degrees(items: Iterable[PoseBound | MountFile]) -> bool:
+    """Whether any of these is turned by more than radians say."""
+    return any(abs(angle) > 2 * math.pi for item in items for angle in item.rpy_deg or ())
+
+
+def _is_in_radians(angle: float, in_degrees: bool) -> bool:
+    """Whether an angle is a multiple of 15° in radians, with three decimals or more.
+
+    Beside others in degrees also one of 45°, with two.
+    """
+    if in_degrees and round(angle, 2) == angle and angle != round(angle, 1):
+        steps = round(angle / RIGHT_RAD)
+        return steps != 0 and angle == round(steps * RIGHT_RAD, 2)
+    steps = round(angle / (math.pi / 12))
+    return steps != 0 and abs(angle - steps * math.pi / 12) < 6e-4 and angle != round(angle, 2)
+
+
+def _heights(index: int, group: GroupFile, ground_m: float) -> Iterator[Suspect]:
+    """Bounds below the ground, which is the region's floor, or far above it."""
+    if group.min and group.max:
+        for bound, pose in (("min", group.min), ("max", group.max)):
+            yield from _height(("sensors", index, bound, "position_m", 2), pose.position_m[2], ground_m, " bound")
+
+
+def _height(at: Key, z_m: float, ground_m: float, what: str) -> Iterator[Suspect]:
+    """A place below the ground, or so far above it that it is in another unit or frame."""
+    if z_m < ground_m:
+        yield at, f"this{what} is {ground_m - z_m:g} m below the ground, which is at z = {ground_m:g}"
+    elif z_m - ground_m > HIGHEST_M:
+        yield at, f"this{what} is {z_m - ground_m:g} m above the ground; are these metres?"
 
 
 def _elevations(at: Key, item: GroupFile | MountFile) -> Iterator[Suspect]:

@@ -21,6 +21,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.slots import Choice, Slot, slot_name
 from lidarcfg.placement.study import Study
+from lidarcfg.placement.symmetry import alike_groups
 
 CHANGES_MAX = 2  # sensors exchanged, added and removed
 DRAWS = 4  # of the pose of a sensor that is new
@@ -57,27 +58,73 @@ class _Group:
         return int(self.values["count"]) // self.together
 
 
+@dataclass(frozen=True)
+class Option:
+    """A combination that may be chosen; its study is made when it is asked for."""
+
+    name: str
+    price: float
+    parent: Study
+    chosen: tuple[tuple[Choice | None, ...], ...]  # by group
+    sensors: int  # how many
+
+    @property
+    def combination(self) -> Combination:
+        """The combination."""
+        return _combination(self.parent, _groups(self.parent), self.chosen, self.name)
+
+
 def combinations(study: Study) -> list[Combination]:
     """All combinations of a study that has choices, in the order of its groups and of their choices."""
+    groups = _groups(study)
+    return [_combination(study, groups, one.chosen, one.name) for one in options(study)]
+
+
+def options(study: Study) -> list[Option]:
+    """The same, not made yet."""
+    groups = _groups(study)
+    ways = [combinations_with_replacement(study.slots[group.first].choices, group.places) for group in groups]
+    found: list[Option] = []
+    needed = study.requirements.lost if study.requirements else 0
+    least = 1 + max((study.robust and study.robust.lost) or 0, needed)  # some must be left
+    names: Counter[str] = Counter()
+    for chosen in product(*ways):
+        sensors = 0
+        price = 0.0
+        for group, part in zip(groups, chosen, strict=True):
+            sensors += group.together * sum(choice is not None for choice in part)
+            price += group.together * sum(choice.price for choice in part if choice)
+        if sensors >= least:
+            name = _name(groups, chosen)
+            names[name] += 1
+            suffix = f"-{names[name]}" if names[name] > 1 else ""
+            found.append(Option(name + suffix, price, study, chosen, sensors))
+    return found
+
+
+def distinct_options(study: Study) -> list[Option]:
+    """Those that are not alike by symmetry, the cheapest first.
+
+    Groups with the same bounds are interchangeable; so are groups in mirrored bounds, if all else is symmetric, too.
+    """
+    kinds = alike_groups(study)
+    found: dict[object, Option] = {}
+    for one in options(study):
+        parts: dict[int, list[str]] = {}
+        for kind, part in zip(kinds, one.chosen, strict=True):
+            parts.setdefault(kind, []).append(repr(sorted(choice.model for choice in part if choice)))
+        key = tuple((kind, tuple(sorted(each))) for kind, each in sorted(parts.items()))
+        found.setdefault(key, one)
+    return sorted(found.values(), key=lambda one: one.price)
+
+
+def _groups(study: Study) -> list[_Group]:
     groups = []
     first = 0
     for values in study.file["sensors"]:
         groups.append(_Group(values, first, 2 if "mirror_y_m" in values else 1))
         first += values["count"]
-    options = [combinations_with_replacement(study.slots[group.first].choices, group.places) for group in groups]
-    found: list[Combination] = []
-    least = 1 + ((study.robust and study.robust.lost) or 0)  # some must be left
-    names: Counter[str] = Counter()
-    for chosen in product(*options):
-        sensors = sum(
-            group.together * bool(choice) for group, part in zip(groups, chosen, strict=True) for choice in part
-        )
-        if sensors >= least:
-            name = _name(groups, chosen)
-            names[name] += 1
-            suffix = f"-{names[name]}" if names[name] > 1 else ""
-            found.append(_combination(study, groups, chosen, name + suffix))
-    return found
+    return groups
 
 
 def _combination(

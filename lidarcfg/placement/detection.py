@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidarcfg import core, maths
-from lidarcfg.config.models import COORDINATE_MAX_M, FileName, Model, Name, Positive, validation_error, with_defaults
+from lidarcfg.config.models import COORDINATE_MAX_M, Model, Name, Positive, validation_error, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.region import AXES, Region, cuboids_needed
 from lidarcfg.placement.subspace import Subspaces
 from lidarcfg.sensors.rig import one_of
+from lidarcfg.world.mesh_source import MeshSource
 
 Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -40,7 +41,7 @@ class DetectionObject(Model):
 
     name: Name
     size_m: tuple[Positive, Positive, Positive] | None = None
-    mesh: FileName | None = None  # relative to the study's file
+    mesh: MeshSource | None = None  # a name is relative to the study's file
     threshold: Annotated[int, Field(ge=0, le=1000)] | None = None  # none: 1 without returns
     returns: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     on_ground: bool = False  # true with returns

@@ -3,10 +3,10 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from lidarcfg.config.models import Given
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Analytic, analytic
@@ -21,6 +21,7 @@ from lidarcfg.placement.subspace import BLIND, Subspaces, segment
 from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.requirements.posts import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
+from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import check_outside
@@ -62,7 +63,7 @@ class Evaluation:
     seconds: float
     robustness: Robustness | None = None  # where it was asked for, and is cheap
     posts: tuple[PostVisibility, ...] = ()  # where posts of HEIGHTS_M are seen, where that was asked for and is known
-    verdict: Verdict | None = None  # of a study with requirements, where it was asked for
+    verdict: Verdict | None = None  # of a study with requirements
 
     @property
     def max_vsr_m(self) -> float:
@@ -71,21 +72,22 @@ class Evaluation:
 
 
 def evaluate(
-    study: Study | str | Path,
-    rig: Rig | str | Path,
+    study: Study | Given,
+    rig: Rig | Given,
     tolerance: float | None = None,
     worst_count: int = WORST,
     on_progress: Callable[[float], None] = lambda fraction: None,
+    verdict: Verdict | None = None,
 ) -> Evaluation:
     """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
 
-    Study and rig are files, or what is loaded from them. With a relative tolerance also the analytic max VSR, to
+    Study and rig are files, dicts with their keys, or loaded. With a relative tolerance also the analytic max VSR, to
     that tolerance. `on_progress` is told the fraction done of the objects that are detected by returns, which take
-    longest. Raises ConfigError where the tolerance is not above 0, or where the region has too many cuboids to
-    refine; and where a sensor is inside the study's vehicle.
+    longest. `verdict` is that on the rig, where it is known already. Raises ConfigError where the tolerance is not
+    above 0, or where the region has too many cuboids to refine; and where a sensor is inside the study's vehicle.
     """
-    study = loaded(study, load_study)
-    rig = loaded(rig, load_rig)
+    study = loaded(study, load_study, Study)
+    rig = loaded(rig, load_rig, Rig)
     started = time.perf_counter()
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts)
@@ -103,6 +105,8 @@ def evaluate(
     rates = _rates(study, subspaces, seen, counted)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
     zones = max_vsr_by_zone(study.zones, subspaces)
+    if study.requirements and verdict is None:
+        verdict = Verifier(study.requirements).verify(rig.mounts)
     seconds = time.perf_counter() - started
     return Evaluation(
         subspaces=subspaces,
@@ -117,6 +121,7 @@ def evaluate(
         zones=zones,
         analytic=converged,
         seconds=seconds,
+        verdict=verdict,
     )
 
 

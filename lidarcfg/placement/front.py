@@ -21,7 +21,7 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.combinations import Combination, Example, combinations, starts
-from lidarcfg.placement.optimize import INFEASIBLE, Budget, Cycle, Log, Placement, SearchRun
+from lidarcfg.placement.search_run import INFEASIBLE, Budget, Cycle, Log, Placement, SearchRun
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.cma_es import WarmStart
 from lidarcfg.placement.solvers.search import FixedPoint, Search

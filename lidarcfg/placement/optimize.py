@@ -1,99 +1,47 @@
 """The search for the best rig of a study: asks a solver for trials, evaluates them, and tells it their costs."""
 
-import math
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable
 
-import numpy as np
-
+from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
-from lidarcfg.geometry import Array
-from lidarcfg.placement.evaluation import Evaluation, evaluate
-from lidarcfg.placement.evaluator import Evaluator
-from lidarcfg.placement.metric import max_vsr
+from lidarcfg.placement.plain_rigs import plain_points
+from lidarcfg.placement.requirements_search import PointsFirst, RequirementsRun
+from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun
 from lidarcfg.placement.solvers import start_search
-from lidarcfg.placement.solvers.search import Search, Trials, checked
 from lidarcfg.placement.study import Study, load_study
-from lidarcfg.placement.study_evaluator import StudyEvaluator
-from lidarcfg.placement.study_file import Solver
 from lidarcfg.sensors.rig import Rig
-
-INFEASIBLE = 1e6  # cost of a rig that violates the constraints, times 1 + the violation
-
-
-@dataclass(frozen=True)
-class Cycle:
-    """A line of the history: the state of the search at the end of a cycle."""
-
-    cycle: int
-    evaluations: int
-    best: float
-    mean: float
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Log:
-    """The costs that a search was told: everything needed to resume it."""
-
-    cost: Array  # (told,) in the order of asking
-    seconds: float  # spent so far
-
-    @classmethod
-    def empty(cls) -> "Log":
-        """The log of a search that has not begun."""
-        return cls(np.empty(0), 0.0)
-
-
-@dataclass(frozen=True)
-class Placement:
-    """The best rig found, and how it was found."""
-
-    rig: Rig
-    evaluation: Evaluation
-    objective: float  # of the rig: its max VSR in metres, unless the study asks for something else
-    midpoint_max_vsr_m: float  # of the rig at the midpoint of the bounds
-    history: tuple[Cycle, ...]
-    evaluations: int  # trials, not counting first sources and scouts
-    first_evaluations: int
-    scout_evaluations: int
-    evaluated: int  # of all these, those that meet the constraints and were not replayed from a log
-    full_evaluations: int  # rigs evaluated in full: several per trial with failures or mounting errors
-    cuboids: int  # evaluated
-    segments: int  # cast from sensors to cuboids, at most
-    log: Log
-    seconds: float
-    interrupted: bool
 
 
 def optimize(
-    study: Study | str | Path,
+    study: Study | Given,
     threads: int | None = None,
     on_cycle: Callable[[Cycle, Rig, Log], None] | None = None,
     log: Log | None = None,
     skip: bool = True,
     on_evaluations: Callable[[int], None] | None = None,
+    plain: bool | None = None,
 ) -> Placement:
     """Search for the rig with the least objective. The result depends on the seed, not on the number of threads.
 
-    The study is a file, or what is loaded from it. `on_cycle` gets the state of the search, the best rig and the
+    The study is a file, a dict with its keys, or loaded. `on_cycle` gets the state of the search, the best rig and the
     log at the end of each cycle. `on_evaluations` is called from time to time, also within a cycle, with the number
     of evaluations so far. `log` resumes an earlier search, which ends where an uninterrupted one would (unless its
     budget is in seconds). Without `skip` every trial is evaluated in full, which changes only the time. An
-    interrupt (Ctrl-C) ends the search and keeps the best rig so far. Raises ConfigError if nothing is free to move,
-    or if no rig meets the constraints.
+    interrupt (Ctrl-C) ends the search and keeps the best rig so far. If the study has requirements, or with `plain`,
+    the plain rigs that an engineer would try are the first trials, so that no result is worse than the best of them.
+    Raises ConfigError if nothing is free to move, or if no rig meets the constraints.
     """
-    study = loaded(study, load_study)
+    study = loaded(study, load_study, Study)
     if study.to_choose:
-        raise ConfigError("the study has models to choose; `front` searches for the best rig of each price")
+        instead = "`front` searches for the best rig of each price"
+        if study.requirements:
+            instead = "`cheapest` searches for the cheapest rig that meets the requirements"
+        raise ConfigError(f"the study has models to choose; {instead}")
     dimensions = int(study.free.sum())
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
-    run = SearchRun(study, start_search(study.solver, study.coordinates), log)
+    run = search_run(study, log, plain)
     budget = Budget.of(study.solver)
     interrupted = False
     with run.evaluator(threads, skip, on_evaluations) as evaluator:
@@ -106,217 +54,11 @@ def optimize(
     return run.placement(interrupted)
 
 
-@dataclass(frozen=True)
-class Budget:
-    """The limits of a search."""
-
-    evaluations: int | None
-    cycles: int | None
-    seconds: float
-    deadline: float  # of `clock`
-
-    @classmethod
-    def of(cls, solver: Solver) -> "Budget":
-        """The budget of a study's solver, starting now."""
-        seconds = math.inf if solver.seconds is None else solver.seconds
-        return cls(solver.evaluations, solver.cycles, seconds, time.perf_counter() + seconds)
-
-    def fraction(self, evaluations: int, cycles: int) -> float:
-        """The fraction that is spent, of the limit that will be reached first."""
-        spent = 1.0 - (self.deadline - time.perf_counter()) / self.seconds if self.seconds < math.inf else 0.0
-        return max(spent, evaluations / (self.evaluations or math.inf), cycles / (self.cycles or math.inf))
-
-    def spent(self, evaluations: int, cycles: int) -> bool:
-        """Whether any of the limits is reached."""
-        return (
-            (self.cycles is not None and cycles >= self.cycles)
-            or (self.evaluations is not None and evaluations >= self.evaluations)
-            or time.perf_counter() >= self.deadline
-        )
-
-
-@dataclass(frozen=True)
-class Work:
-    """The work that evaluators have done."""
-
-    trials: int = 0
-    full_evaluations: int = 0
-    cuboids: int = 0
-    segments: int = 0
-
-    def plus(self, evaluator: StudyEvaluator) -> "Work":
-        """The sum with one more evaluator's work."""
-        return Work(
-            self.trials + evaluator.trials,
-            self.full_evaluations + evaluator.full_evaluations,
-            self.cuboids + evaluator.cuboids,
-            self.segments + evaluator.segments,
-        )
-
-
-class SearchRun:
-    """A search in progress. It first replays the costs in `log`, without evaluating anything.
-
-    `best_x` and `best_cost` are those of the best trial so far; `work` is the work done so far. A run may pause: each
-    part of it gets a new evaluator.
-    """
-
-    def __init__(self, study: Study, search: Search, log: Log | None = None) -> None:
-        log = log or Log.empty()
-        self.study = study
-        self._search = search
-        self._replay = log.cost
-        self._told = [log.cost]
-        self._spent = log.seconds  # before this part
-        self._since = math.inf  # when it began
-        self._smooths = False  # whether its evaluator smooths the costs of trials that ask for it
-        self.asked = {"first": 0, "scout": 0, "trial": 0}
-        self.history: list[Cycle] = []
-        self.best_x = search.best_x
-        self.best_cost = math.inf
-        self.work = Work()
-
-    @property
-    def evaluations(self) -> int:
-        """Trials so far, not counting first sources and scouts."""
-        return self.asked["trial"]
-
-    @property
-    def cycles(self) -> int:
-        """Cycles so far."""
-        return self._search.cycles
-
-    @property
-    def seconds(self) -> float:
-        """Spent so far, without pauses."""
-        return self._spent + max(time.perf_counter() - self._since, 0.0)
-
-    def rig(self) -> Rig:
-        """The best rig so far."""
-        return self.study.rig(self.study.poses(self.best_x[None])[0])
-
-    def log(self) -> Log:
-        """All costs told so far."""
-        return Log(np.concatenate(self._told), self.seconds)
-
-    @contextmanager
-    def evaluator(
-        self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
-    ) -> Iterator[StudyEvaluator]:
-        """An evaluator for one part of the run."""
-        self._since = time.perf_counter()
-        with StudyEvaluator(self.study, threads, skip, on_evaluations) as one:
-            self._smooths = one.smooths
-            try:
-                yield one
-            finally:
-                self.work = self.work.plus(one)
-                self._spent = self.seconds
-                self._since = math.inf
-
-    def is_over(self, budget: Budget) -> bool:
-        """Whether a limit is reached; there is always a first batch."""
-        return bool(self.history) and budget.spent(self.evaluations, self.cycles)
-
-    def step(self, evaluator: StudyEvaluator, budget: Budget) -> bool:
-        """Evaluate one batch of trials. Returns whether it added a line to the history that is not replayed."""
-        trials = self.ask()
-        cost = self.costs(trials, evaluator, budget)
-        return self.tell(trials, cost, budget)
-
-    def ask(self) -> Trials:
-        """The solver's next trials: points of the unit cube."""
-        return self._search.ask()
-
-    def tell(self, trials: Trials, cost: Array, budget: Budget) -> bool:
-        """Tell the solver the costs of its trials, and keep the best. Returns as `step` does."""
-        search = self._search
-        kind = self._kind(trials)
-        self.asked[kind] += len(cost)
-        best = int(np.argmin(cost))
-        counts = not (trials.smoothing and self._smooths)
-        if cost[best] < self.best_cost and counts:
-            self.best_x = trials.x[best].copy()
-            self.best_cost = float(cost[best])
-        cycles = search.cycles
-        if len(cost) == len(trials.x):  # a batch cut short is not told: a resumed run asks for all of it again
-            search.tell(cost)
-        if search.cycles == cycles and kind != "first" and not budget.spent(self.evaluations, search.cycles):
-            return False
-        state = Cycle(search.cycles, self.evaluations, self.best_cost, search.mean_cost, self.seconds)
-        self.history.append(state)
-        return not len(self._replay)
-
-    def _kind(self, trials: Trials) -> str:
-        return trials.phase if trials.phase in self.asked else "trial"
-
-    def costs(self, trials: Trials, evaluator: StudyEvaluator, budget: Budget) -> Array:
-        """The costs of the rigs at the trials, those of the log first; fewer if a budget cuts the batch short."""
-        count = len(trials.x)
-        if len(self._replay) >= count:
-            cost = self._replay[:count]
-            self._replay = self._replay[count:]
-            return cost
-        self._replay = self._replay[:0]
-        left = count
-        if budget.evaluations is not None and self._kind(trials) == "trial":
-            left = min(left, budget.evaluations - self.evaluations)
-        cost = costs(self.study, evaluator, self._search.sources, trials, left, budget.deadline)
-        if len(cost) == count:
-            self._told.append(cost)
-        return cost
-
-    def placement(self, interrupted: bool) -> Placement:
-        """The result. Raises KeyboardInterrupt if there is none yet, ConfigError if no rig meets the constraints."""
-        if not math.isfinite(self.best_cost):
-            raise KeyboardInterrupt
-        if self.best_cost >= INFEASIBLE:
-            raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
-        study = self.study
-        rig = self.rig()
-        log = self.log()
-        # before the evaluation, not during it, since either may need a gigabyte
-        midpoint = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
-        return Placement(
-            rig=rig,
-            evaluation=evaluate(study, rig),
-            objective=self.best_cost,
-            midpoint_max_vsr_m=midpoint,
-            history=tuple(self.history),
-            evaluations=self.evaluations,
-            first_evaluations=self.asked["first"],
-            scout_evaluations=self.asked["scout"],
-            evaluated=self.work.trials,
-            full_evaluations=self.work.full_evaluations,
-            cuboids=self.work.cuboids,
-            segments=self.work.segments,
-            log=log,
-            seconds=log.seconds,
-            interrupted=interrupted,
-        )
-
-
-def costs(
-    study: Study, evaluator: Evaluator | StudyEvaluator, sources: Array, trials: Trials, count: int, deadline: float
-) -> Array:
-    """The costs of the first `count` trials, or inf where a trial does not beat its cost to beat.
-
-    Fewer if the `deadline` (of `clock`) passes meanwhile.
-    """
-    source_poses = study.poses(sources)
-    slices = []
-    step = count if deadline == math.inf else evaluator.slice
-    for first in range(0, count, step):
-        part = slice(first, min(first + step, count))
-        poses = study.poses(trials.x[part])
-        source = trials.source[part]
-        upper_bound = trials.upper_bound[part]
-        violation = study.violation(poses)
-        cost = INFEASIBLE * (1.0 + violation)
-        allowed = np.flatnonzero(violation == 0.0)
-        asked = poses[allowed], source[allowed], source_poses, upper_bound[allowed]
-        cost[allowed] = evaluator.costs(*asked, trials.smoothing)
-        slices.append(cost)
-        if time.perf_counter() > deadline:
-            break
-    return checked(np.concatenate(slices))
+def search_run(study: Study, log: Log | None = None, plain: bool | None = None) -> SearchRun:
+    """A search that has not begun, or that replays a log; `plain` as in optimize."""
+    begins_plain = study.requirements is not None if plain is None else plain
+    if study.requirements:
+        return RequirementsRun(study, log, begins_plain)
+    if begins_plain:
+        return SearchRun(study, PointsFirst(study, plain_points(study)), log)
+    return SearchRun(study, start_search(study.solver, study.coordinates), log)

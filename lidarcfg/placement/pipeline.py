@@ -5,7 +5,7 @@ same label make subspaces; the largest volume to surface of these, max VSR, is t
 a solver proposes rigs until one costs least.
 """
 
-from lidarcfg.placement.optimize import Budget, SearchRun
+from lidarcfg.placement.search_run import Budget, SearchRun
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.study import Study
 from lidarcfg.sensors.rig import Rig

@@ -13,6 +13,7 @@ from lidarcfg.config.models import COORDINATE_MAX_M, Model, Position, validation
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
+from lidarcfg.placement.shapes import crease_lines, surface_mesh
 from lidarcfg.world.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -203,26 +204,64 @@ class Region:
         )
         return x, y, z
 
-    def voxel_grid(self, index: ArrayLike, rgb: ArrayLike) -> "open3d.geometry.VoxelGrid":
-        """Cuboids (N, 3) by their indices as an Open3D voxel grid with colours (N, 3) in 0..1.
+    def mesh(self, chosen: NDArray[np.bool_]) -> "open3d.geometry.TriangleMesh":
+        """The surface of some cuboids (nx, ny, nz), in metres. Raises ConfigError where there are none."""
+        return surface_mesh(self.min_m, self.cuboid_m, chosen)
+
+    def line_set(self, chosen: NDArray[np.bool_]) -> "open3d.geometry.LineSet":
+        """The edges of that surface. Raises ConfigError where there are none."""
+        return crease_lines(self.min_m, self.cuboid_m, chosen)
+
+    def voxel_grid(self, index: ArrayLike, rgb: ArrayLike, voxel_m: float | None = None) -> "open3d.geometry.VoxelGrid":
+        """Cuboids (N, 3) by their indices as an Open3D voxel grid with colours (N, 3) in 0..1, in true proportions.
+
+        Open3D's voxels are cubes, of the cuboids' least edge unless `voxel_m` gives another. A voxel belongs to the
+        cuboid in which its middle lies, so where the edges are no multiples of it, cuboids differ by a voxel. Raises
+        LidarcfgError where memory does not hold them, and for an edge that is not above 0.
+        """
+        edge = float(self.cuboid_m.min()) if voxel_m is None else float(voxel_m)
+        if not edge > 0:
+            raise ConfigError(f"voxel_m is {edge:g}; allowed: above 0")
+        chosen = np.asarray(index, np.int64).reshape(-1, 3)
+        shape = np.ceil((self.max_m - self.min_m) / edge - 1e-9).astype(np.int64)
+        per_cuboid = float(np.prod(self.cuboid_m / edge))
+        check_voxels(math.ceil(len(chosen) * max(per_cuboid, 1.0)))
+        number = np.full(self.shape, -1, np.int64)
+        number[tuple(chosen.T)] = np.arange(len(chosen))
+        of = [
+            np.clip(((np.arange(n) + 0.5) * edge / size).astype(np.int64), 0, most - 1)
+            for n, size, most in zip(shape, self.cuboid_m, self.shape, strict=True)
+        ]
+        owner = number[np.ix_(*of)]
+        voxels = np.argwhere(owner >= 0)
+        colours = np.asarray(rgb, np.float64).reshape(-1, 3)[owner[tuple(voxels.T)]]
+        return _voxel_grid(self.min_m, voxels, edge, colours, self.min_m + shape * edge)
+
+    def scaled_voxel_grid(self, index: ArrayLike, rgb: ArrayLike) -> "open3d.geometry.VoxelGrid":
+        """Cuboids (N, 3) by their indices as an Open3D voxel grid with a voxel for each, and colours (N, 3) in 0..1.
 
         Open3D's voxels are cubes: unless the cuboids are, the grid is a copy in which y and z are scaled so
         that they become cubes of the cuboids' x edge. `from_voxel_grid` with `cuboid_m` undoes it. Raises LidarcfgError
         where memory does not hold them.
         """
-        check_voxels(np.asarray(index).size // 3)
-        import open3d as o3d
-
+        chosen = np.asarray(index, np.int64).reshape(-1, 3)
+        check_voxels(len(chosen))
         edge = float(self.cuboid_m[0])
         scale = edge / self.cuboid_m
-        cloud = o3d.geometry.PointCloud()
-        cloud.points = o3d.utility.Vector3dVector(
-            self.min_m * scale + (np.asarray(index, np.float64).reshape(-1, 3) + 0.5) * edge
-        )
-        cloud.colors = o3d.utility.Vector3dVector(np.asarray(rgb, np.float64).reshape(-1, 3))
-        return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(
-            cloud, edge, self.min_m * scale, self.max_m * scale
-        )
+        colours = np.asarray(rgb, np.float64).reshape(-1, 3)
+        return _voxel_grid(self.min_m * scale, chosen, edge, colours, self.max_m * scale)
+
+
+def _voxel_grid(
+    low: Array, index: NDArray[np.int64], edge: float, rgb: Array, high: Array
+) -> "open3d.geometry.VoxelGrid":
+    """Open3D's grid from a corner to another, of cubes with indices (N, 3) and colours (N, 3)."""
+    import open3d as o3d
+
+    cloud = o3d.geometry.PointCloud()
+    cloud.points = o3d.utility.Vector3dVector(low + (index + 0.5) * edge)
+    cloud.colors = o3d.utility.Vector3dVector(rgb)
+    return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(cloud, edge, low, high)
 
 
 def check_voxels(count: int) -> None:

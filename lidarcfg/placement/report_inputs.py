@@ -21,7 +21,7 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.sensitivity import robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces
-from lidarcfg.requirements.evidence import Verification, verification
+from lidarcfg.requirements.evidence import Verification, evidence
 from lidarcfg.requirements.posts import PostPlaces, PostVisibility, post_visibility
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig
@@ -145,9 +145,10 @@ def report_inputs(
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
     found = replace(found, robustness=robustness(study, rig))
-    verified = verification(Verifier(study.requirements), rig.mounts) if study.requirements else None
-    if verified:
-        found = replace(found, verdict=verified.verdict)
+    verified = None
+    if study.requirements and found.verdict:
+        shown = evidence(Verifier(study.requirements), rig.mounts, found.verdict)
+        verified = Verification(found.verdict, shown)
     found = replace(found, posts=_posts(study, rig))
     subspaces = found.subspaces
     vehicle = study.reference_m

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import core, maths
-from lidarcfg.config.models import NAME_MAX, error_at, errors_at, load, whole_values
-from lidarcfg.files import example
+from lidarcfg.config.models import NAME_MAX, Given, error_at, errors_at, load_or_check, whole_values
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
-from lidarcfg.placement.cones import Lidar, placed
+from lidarcfg.placement.cones import Lidar, placed, rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Distances, check_fits, from_point
 from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial
 from lidarcfg.placement.region import Region
@@ -35,6 +34,7 @@ from lidarcfg.placement.slots import (
 )
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
+from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
@@ -68,6 +68,7 @@ class Study:
     visibility: Visibility | None = None  # None: every LiDAR sees everything, as in the paper
     robust: Robust | None = None  # what a rig has to withstand
     requirements: Requirements | None = None  # what a rig must see
+    seeks_margin: bool = False  # whether a search widens the least margin, as requirements come without an objective
     zones: tuple[Zone, ...] = ()
     detection_targets: tuple[DetectionTarget, ...] = ()  # the objects that are detected by returns
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
@@ -104,7 +105,7 @@ class Study:
 
         1 is exactly upper, except for angles that attitudes.py arranges.
         """
-        return self._repaired(self._coordinates(center_on_upright(unit, self._freely_tilted)))
+        return self._repaired(self._coordinates(center_on_upright(unit, self.freely_tilted)))
 
     @cached_property
     def midpoint(self) -> Array:
@@ -117,7 +118,7 @@ class Study:
         return poses
 
     @cached_property
-    def _freely_tilted(self) -> NDArray[np.int64]:
+    def freely_tilted(self) -> NDArray[np.int64]:
         """(n, 2) free coordinates, see attitudes.py; none for the paper's solver, which has the paper's coordinates."""
         free = self.free & (self.solver.method != "abc")
         return freely_tilted([slot.lidar for slot in self.slots], self.lower, self.upper, free)
@@ -219,6 +220,14 @@ class Study:
         """The obstacles between sensors and objects."""
         return self.visibility.obstacles if self.visibility else NO_OBSTACLES
 
+    def shadow(self, rig: Rig) -> NDArray[np.bool_]:
+        """(nx, ny, nz) which cuboids bodies alone hide from all LiDARs of a rig: without bodies, one would see them."""
+        if self.visibility is None:
+            return np.zeros(self.region.shape, np.bool_)
+        lidars = rig_lidars(rig)
+        without_bodies = segment(self.region, lidars, self.visibility.transparent()).seen_by
+        return np.asarray((without_bodies > 0) & (segment(self.region, lidars, self.visibility).seen_by == 0))
+
     @cached_property
     def reference_m(self) -> Array:
         """(2,) x and y of the vehicle: the midpoint of its bodies' bounds.
@@ -305,10 +314,9 @@ class Study:
         return Rig(self.name[:NAME_MAX], tuple(mounts), self.vehicle.section if self.vehicle else None)
 
 
-def load_study(path: str | Path) -> Study:
-    """The study in a YAML file. Raises ConfigError with file, line and key."""
-    path = example(path)
-    return study_of(load(path, StudyFile), path)
+def load_study(given: Given) -> Study:
+    """The study in a YAML file, or of a dict with its keys. Raises ConfigError with file, line and key."""
+    return study_of(*load_or_check(given, StudyFile))
 
 
 def study_of(file: StudyFile, path: Path) -> Study:
@@ -348,6 +356,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
         visibility=seen,
         robust=file.robust,
         requirements=_requirements(file, found, slots, region, bodies, seen, path),
+        seeks_margin=bool(found) and "objective" not in file.model_fields_set,
         zones=zones,
         detection_targets=detection_targets,
         file=_resolved(file, found, slots.slots, choices, path),
@@ -436,6 +445,8 @@ def _resolved(
             elif slot.model is not None:
                 group["model"] = slot.model
     del values["requirements"]
+    if found and "objective" not in file.model_fields_set:
+        del values["objective"]
     if found:
         values["requirements"] = [whole_values(one.item, one.path.parent) for one in found]
     if file.prices:

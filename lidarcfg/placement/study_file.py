@@ -34,7 +34,8 @@ from lidarcfg.world.vehicle import VehicleFile
 BUDGETS = {"cycles", "evaluations", "seconds"}
 NONE = "none"  # a choice: no sensor
 PRICE_MAX = 1e12
-COMBINATIONS_MAX = 1000
+COMBINATIONS_MAX = 1000  # with a search of each
+CHEAPEST_MAX = 100_000  # where the cheapest that meets requirements is looked for
 COUNTED = 10**18  # combinations are counted up to here
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
@@ -232,11 +233,10 @@ class StudyFile(Model):
                     key = ("choose", n) if group.choose else ("model",)
                     raise validation_error(f"{model!r} has no price; give it one in prices", "sensors", i, *key)
         count = self.combinations
-        if count > COMBINATIONS_MAX:
+        most = CHEAPEST_MAX if self.requirements else COMBINATIONS_MAX
+        if count > most:
             some = f"{count:,}" if count < COUNTED else f"more than {COUNTED:,}"
-            raise validation_error(
-                f"the choices allow {some} combinations; allowed: at most {COMBINATIONS_MAX:,}", "sensors"
-            )
+            raise validation_error(f"the choices allow {some} combinations; allowed: at most {most:,}", "sensors")
 
     @property
     def combinations(self) -> int:

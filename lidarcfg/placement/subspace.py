@@ -49,16 +49,37 @@ class Subspaces:
         """A copy without the arrays of cuboids, to save memory: `label` is empty, and `seen` is unknown."""
         return replace(self, label=np.empty((0, 0, 0), np.int32), seen=None)
 
-    def voxel_grid(self, value: Array) -> "open3d.geometry.VoxelGrid":
+    def mesh(self, *numbers: int) -> "open3d.geometry.TriangleMesh":
+        """The surface of the subspaces with these numbers, in metres. Raises ConfigError where there is none."""
+        return self.region.mesh(np.isin(self.label, numbers))
+
+    def line_set(self, *numbers: int) -> "open3d.geometry.LineSet":
+        """The edges of that surface. Raises ConfigError where there is none."""
+        return self.region.line_set(np.isin(self.label, numbers))
+
+    def blind_mesh(self) -> "open3d.geometry.TriangleMesh":
+        """The surface of what no LiDAR sees, in metres. Raises ConfigError where every cuboid is seen."""
+        return self.region.mesh((self.seen_by == 0) & self.region.included)
+
+    def voxel_grid(self, value: Array, voxel_m: float | None = None) -> "open3d.geometry.VoxelGrid":
         """All cuboids as an Open3D voxel grid, coloured by a value (n,) of their subspace, blue to red.
 
-        See Region.voxel_grid for cuboids that are not cubes. Raises LidarcfgError where memory does not hold them.
+        In true proportions: see `Region.voxel_grid`, also for `voxel_m`. Raises LidarcfgError where memory does not
+        hold them.
         """
+        return self.region.voxel_grid(*self._coloured(value), voxel_m)
+
+    def scaled_voxel_grid(self, value: Array) -> "open3d.geometry.VoxelGrid":
+        """The same with one voxel a cuboid, and so not in true proportions: see `Region.scaled_voxel_grid`."""
+        return self.region.scaled_voxel_grid(*self._coloured(value))
+
+    def _coloured(self, value: Array) -> tuple[NDArray[np.int64], Array]:
+        """The indices (N, 3) of all cuboids, and their colours (N, 3)."""
         check_voxels(int(self.cuboids.sum()))
         index = np.argwhere(self.label >= 0)
         span = np.ptp(value) or 1.0
         level = ((value - value.min()) / span)[self.label[tuple(index.T)]]
-        return self.region.voxel_grid(index, np.stack([level, 0.2 + 0 * level, 1 - level], axis=1))
+        return index, np.stack([level, 0.2 + 0 * level, 1 - level], axis=1)
 
 
 def segment(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> Subspaces:

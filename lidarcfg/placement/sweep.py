@@ -4,6 +4,7 @@ Workers are processes on this machine, or a Dask cluster.
 """
 
 import logging
+import math
 import multiprocessing
 import os
 import pickle
@@ -19,13 +20,15 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from lidarcfg.errors import ConfigError, LidarcfgError
-from lidarcfg.placement.optimize import Placement, optimize
+from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import Plan, SweepCase, versions
+from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study, with_solver
 from lidarcfg.placement.study_file import Solver, StudyFile
+from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Rig
 
 ADDRESS = re.compile(r"(tcp|tls)://[^\s/]+:\d{1,5}")
@@ -33,11 +36,14 @@ CONNECT_S = 5.0  # for a scheduler to answer
 WAIT_S = 60.0  # for its first worker
 AHEAD = 2  # runs that a cluster is given for each of its threads
 
-
 ATTEMPTS = 5  # of a run whose workers are killed
+KILLED = f"its worker ended {ATTEMPTS} times"
 LOOK_S = 2.0  # between two checks of the workers
 TRIALS = 300  # evaluations by which the time of a search is estimated, or
 TRIAL_S = 3.0  # seconds
+
+
+T = TypeVar("T")
 
 
 class WorkerDiedError(Exception):
@@ -263,8 +269,17 @@ def figures(found: Placement) -> dict[str, float | int | None]:
         "max_vsr_m": evaluation.max_vsr_m,
         "evaluations": found.evaluations,
         **{f"detection.{name}": one.rate for name, one in evaluation.detection.items()},
+        **_verdict_figures(evaluation.verdict),
         **{f"seen_by.{count}": float(part) for count, part in enumerate(volume / volume.sum())},
     }
+
+
+def _verdict_figures(found: Verdict | None) -> dict[str, float | int | None]:
+    """Whether all requirements are met, and the margin of each; 1: they are."""
+    if found is None:
+        return {}
+    margins = {f"margin.{one.name}": one.margin if math.isfinite(one.margin) else None for one in found.requirements}
+    return {"pass": int(found.passed), **margins}
 
 
 def sweep(plan: Plan, runs: Iterable[SweepCase], workers: Workers, done: Callable[[SweepCase, Outcome], None]) -> None:
@@ -272,38 +287,46 @@ def sweep(plan: Plan, runs: Iterable[SweepCase], workers: Workers, done: Callabl
 
     A run whose worker was killed is repeated. Raises ConfigError if the workers are gone, or run other versions.
     """
-    left = iter(runs)
-    pending: dict[Future[Outcome], tuple[SweepCase, bytes]] = {}
-    attempts: dict[int, int] = {}
 
-    def submit(run: SweepCase, content: bytes) -> None:
-        pending[workers.submit(work, content, versions())] = run, content
+    def ended(run: SweepCase, outcome: Outcome | None) -> None:
+        done(run, outcome or Outcome({}, None, 0.0, f"{KILLED}; out of memory?", lasting=False))
 
-    following = _prepared(plan, next(left, None))
-    while following or pending:
-        while following and len(pending) < workers.capacity:
-            submit(*following)
-            following = _prepared(plan, next(left, None))  # while the workers work
+    # Each with its pickled study, so that the worker reads no files.
+    jobs = ((run, (work, pickle.dumps(plan.studies.of(run.file)), versions())) for run in runs)
+    distribute(jobs, workers, ended)
+
+
+def distribute(
+    jobs: Iterable[tuple[T, tuple[Any, ...]]], workers: Workers, done: Callable[[T, Any | None], object]
+) -> None:
+    """Have workers call functions: each job is a key, and a function with its arguments.
+
+    `done` is told each key with what the function returned, or None if its worker was killed ATTEMPTS times; where it
+    returns True, no more jobs are begun. Raises ConfigError if the workers are gone, or run other versions.
+    """
+    left = iter(jobs)
+    pending: dict[Future[Any], tuple[T, tuple[Any, ...], int]] = {}
+    following = next(left, None)
+    stopped = False
+    while (following and not stopped) or pending:
+        while following and not stopped and len(pending) < workers.capacity:
+            key, call = following
+            pending[workers.submit(*call)] = key, call, 0
+            following = next(left, None)  # while the workers work
         finished, _ = wait(pending, LOOK_S, FIRST_COMPLETED)
         for future in finished:
-            run, content = pending.pop(future)
-            outcome = _outcome(future)
-            if outcome is None:
-                attempts[run.number] = attempts.get(run.number, 0) + (workers.count > 0)  # raises if they are gone
-                if attempts[run.number] < ATTEMPTS:
-                    submit(run, content)
+            key, call, attempts = pending.pop(future)
+            found = _result(future)
+            if found is None:
+                attempts += workers.count > 0  # raises if they are gone
+                if attempts < ATTEMPTS:
+                    pending[workers.submit(*call)] = key, call, attempts
                     continue
-                outcome = Outcome({}, None, 0.0, f"its worker ended {ATTEMPTS} times; out of memory?", lasting=False)
-            done(run, outcome)
+            stopped = done(key, found) is True or stopped
 
 
-def _prepared(plan: Plan, run: SweepCase | None) -> tuple[SweepCase, bytes] | None:
-    """A run with its pickled study, so that the worker reads no files."""
-    return None if run is None else (run, pickle.dumps(plan.studies.of(run.file)))
-
-
-def _outcome(future: "Future[Outcome]") -> Outcome | None:
-    """The result of a run; None if its worker died. Raises ConfigError for a worker of other versions."""
+def _result(future: "Future[Any]") -> Any | None:
+    """What a job returned; None if its worker died. Raises ConfigError for a worker of other versions."""
     if future.cancelled():
         return None
     error = future.exception()

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.report_inputs import Coverage, DetectionMap, ReportInputs
+from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import (
     BAR_IN,

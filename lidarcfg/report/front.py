@@ -20,8 +20,8 @@ from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.geometry import Array
 from lidarcfg.placement.front import Candidate, Front, Point
-from lidarcfg.placement.optimize import Log
 from lidarcfg.placement.report_inputs import report_inputs
+from lidarcfg.placement.search_run import Log
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
 from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price, versions

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lidarcfg.placement.evaluation import Evaluation
-    from lidarcfg.placement.optimize import Placement
+    from lidarcfg.placement.search_run import Placement
     from lidarcfg.placement.study import Study
 
 # Okabe and Ito's colours, which colour-blind people can tell apart

@@ -20,9 +20,9 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.return_counts import STEP_M as STEP_M_OF_RETURNS
+from lidarcfg.placement.search_run import Log, Placement
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
@@ -38,7 +38,6 @@ from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:
     """The values that `evaluate --json` prints and every result.json contains."""
     return {
-        **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
         "measure": "faces",
         "max_vsr_m": found.max_vsr_m,
         "analytic": found.analytic and asdict(found.analytic) | {"reached": found.analytic.reached},
@@ -65,6 +64,7 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "skipped": {"rigs": 1, "full_evaluations": 0, "cuboids": 0, "segments": 0},
         "rig": rig_to_dict(rig),
         "study": study.file,
+        **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
     }
 
 
@@ -129,7 +129,9 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
     rigs = found.evaluated * study.rigs[0]
     cut = study.objective_cuts
     return evaluation_dict(study, found.rig, evaluation) | {
-        "objective": found.objective,
+        "objective": found.objective if math.isfinite(found.objective) else None,
+        "at_bounds": list(found.at_bounds),
+        **({"remarks": list(found.remarks)} if found.remarks else {}),
         "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
         "evaluations": found.evaluations,
         "first_evaluations": found.first_evaluations,

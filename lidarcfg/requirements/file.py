@@ -18,6 +18,7 @@ from lidarcfg.config.models import (
 from lidarcfg.files import example
 from lidarcfg.requirements.braking import BrakingOrName
 from lidarcfg.sensors.rig import SENSORS_MAX, Distance, one_of
+from lidarcfg.world.mesh_source import MeshSource
 
 HEADINGS_DEG = tuple(float(heading) for heading in range(0, 360, 45))
 SIZE_MAX_M = 100.0  # of an object
@@ -47,7 +48,7 @@ class ObjectFile(Model):
 
     name: Name | None = None
     size_m: tuple[Size, Size, Size] | None = None
-    mesh: FileName | None = None  # relative to the file
+    mesh: MeshSource | None = None  # a name is relative to the file
 
     @model_validator(mode="after")
     def _check(self) -> "ObjectFile":

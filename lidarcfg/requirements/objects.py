@@ -25,7 +25,7 @@ from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import ClusterRule, Lowest, Target, count_clusters
 from lidarcfg.world.obstacles import Obstacles
 
-LOWEST = 128  # places, around which others are tried
+LOWEST = 256  # places, around which others are tried
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then
@@ -231,7 +231,7 @@ class ObjectJudge:
                 places=len(tried.every.places),
                 base_m=(item.stand.near_step_m, item.stand.far_step_m),
                 finest_m=tried.finest_m,
-                finest_deg=math.degrees(tried.finest_rad),
+                finest_deg=round(math.degrees(tried.finest_rad), 9),
             ),
             notes=tuple(notes),
         )
@@ -369,7 +369,8 @@ class ObjectJudge:
     def _tried(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces) -> Tried:
         """The base grid's counts, and those at places between, around the lowest, down to the finest spacing."""
         stand = self.item.stand
-        base = every = self.measured(mounts, cap, on_places)
+        base = self.measured(mounts, cap, on_places)
+        every = base.joined(self.measured_at(stand.edge, mounts, cap)) if len(stand.edge) else base
         seen: set[tuple[int, ...]] = set()
         step_m = stand.far_step_m
         turns = np.diff(stand.headings_rad)

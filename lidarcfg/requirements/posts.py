@@ -44,6 +44,11 @@ class PostPlaces:
     from_middle_m: Array  # (A, N)
     counts: Flags  # (A, N) which are within the limits
 
+    @cached_property
+    def counted(self) -> Array:
+        """(P, 4) the places that are within the limits."""
+        return np.ascontiguousarray(self.places[self.counts])
+
     @classmethod
     def around(
         cls, body: Footprint, ground_m: float, within_m: tuple[float, float] = (0.0, LIMIT_M), zone: Zone | None = None
@@ -175,7 +180,7 @@ def post_visibility(
 ) -> PostVisibility:
     """Where a post of a height is seen by a rig's sensors, also with any `lost` of them lost, place by place."""
     target = box_target((WIDTH_M, WIDTH_M, height_m))
-    counted = np.ascontiguousarray(posts.places[posts.counts])
+    counted = posts.counted
     lowest = lowest_at(counted, target, mounts, obstacles, 1, lost + 1)
     on_places(len(counted))
     seen = np.zeros(posts.counts.shape, np.bool_)
@@ -202,6 +207,12 @@ class PostRequirement:
         """The post."""
         return box_target((WIDTH_M, WIDTH_M, self.height_m))
 
+    def judged_by(self, seen: Flags) -> RequirementVerdict:
+        """The verdict on a rig that sees some of the posts that count (P,)."""
+        flags = np.zeros(self.posts.counts.shape, np.bool_)
+        flags[self.posts.counts] = seen
+        return self._judged_by(PostVisibility(self.height_m, self.limit_m, self.posts, flags))
+
     def visibility(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> PostVisibility:
         """Where a rig sees the post, also with sensors lost."""
         return post_visibility(self.posts, self.height_m, mounts, self.obstacles, self.lost, self.limit_m, on_places)
@@ -221,7 +232,9 @@ class PostRequirement:
         return min(found, key=lambda one: one.relative_margin)
 
     def _judged(self, mounts: Sequence[Mount], on_places: OnPlaces) -> RequirementVerdict:
-        seen = self.visibility(mounts, on_places)
+        return self._judged_by(self.visibility(mounts, on_places))
+
+    def _judged_by(self, seen: PostVisibility) -> RequirementVerdict:
         limits = {
             "first seen": (self.first_seen_at_most_m, seen.first_seen_m, seen.first_seen_m),
             "longest gap": (self.gap_at_most_m, seen.longest_gap_m, seen.longest_gap_at_m),

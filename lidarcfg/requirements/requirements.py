@@ -63,6 +63,21 @@ class Requirements:
     site: Site
     robust: Robust | None = None
 
+    @property
+    def lost(self) -> int:
+        """The most sensors that fail in any of them."""
+        fixed = PriceRequirement | SensorsRequirement
+        return max((item.lost for item in self.items if not isinstance(item, fixed)), default=0)
+
+    def too_dear(self, price: float, sensors: int) -> bool:
+        """Whether rigs of that price and number of sensors exceed what is allowed, wherever their sensors are."""
+        for item in self.items:
+            if isinstance(item, PriceRequirement) and price > item.at_most:
+                return True
+            if isinstance(item, SensorsRequirement) and sensors > item.at_most:
+                return True
+        return False
+
 
 @dataclass(frozen=True)
 class Source:

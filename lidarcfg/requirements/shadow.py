@@ -65,8 +65,11 @@ class ShadowRequirement:
 
     def seen(self, mounts: Sequence[Mount]) -> NDArray[np.bool_]:
         """(sensors, N) which points no body hides from each sensor."""
-        origins = [np.array(mount.position_m) for mount in mounts]
-        return np.stack([~self.vehicle.tracer.blocked(origin, self.points_m) for origin in origins])
+        return np.stack([self.seen_from(np.array(mount.position_m)) for mount in mounts])
+
+    def seen_from(self, origin_m: Array) -> NDArray[np.bool_]:
+        """(N,) which points no body hides from a place (3,)."""
+        return np.asarray(~self.vehicle.tracer.blocked(origin_m, self.points_m))
 
     def hidden(self, mounts: Sequence[Mount]) -> NDArray[np.bool_]:
         """(N,) which points are hidden from all sensors that are left in the worst case."""
@@ -84,9 +87,13 @@ class ShadowRequirement:
         return max(found, key=lambda one: one.reached)
 
     def _judged(self, mounts: Sequence[Mount], on_places: OnPlaces) -> RequirementVerdict:
-        seen = self.seen(mounts)
+        found = self.judged_by(self.seen(mounts), [mount.name for mount in mounts])
         on_places(len(self.points_m))
-        ways = cases(len(mounts), self.lost)
+        return found
+
+    def judged_by(self, seen: NDArray[np.bool_], names: Sequence[str] = ()) -> RequirementVerdict:
+        """The verdict on sensors, with these names, that see points as `seen` (sensors, N) says."""
+        ways = cases(len(seen), self.lost)
         cell_m3 = STEP_M**2 * self.layer_m
         hidden = [~seen[kept].any(axis=0) for kept in ways]
         volumes = [float(one.sum()) * cell_m3 for one in hidden]
@@ -98,7 +105,7 @@ class ShadowRequirement:
             distance_m = self.body.to_points_m(points[:, :2])
             nearest = int(distance_m.argmin())
             place = WorstPlace(float(points[nearest, 0]), float(points[nearest, 1]), None, float(distance_m[nearest]))
-        lost = [mount.name for n, mount in enumerate(mounts) if n not in ways[worst]]
+        lost = [name for n, name in enumerate(names) if n not in ways[worst]]
         whole_m3 = len(self.points_m) * cell_m3
         return RequirementVerdict(
             name=self.name,

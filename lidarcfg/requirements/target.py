@@ -7,7 +7,8 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
 from lidarcfg.requirements.file import ObjectFile
 from lidarcfg.simulate.returns import Target
-from lidarcfg.world.meshes import box_mesh, read_mesh
+from lidarcfg.world.mesh_source import Triangles
+from lidarcfg.world.meshes import box_mesh, mesh_from
 from lidarcfg.world.scene_file import Box
 from lidarcfg.world.solids import merge_vertices, open_edges
 
@@ -35,9 +36,9 @@ def box_target(size_m: Vec3) -> Target:
     return Target(box_mesh(Box(name="box", reflectivity=0, center_m=(0.0, 0.0, 0.0), size_m=size_m)))
 
 
-def mesh_target(folder: Path, name: str) -> Target:
+def mesh_target(folder: Path, name: str | Triangles) -> Target:
     """The closed mesh in a file. Raises SceneError if it cannot be read, and ConfigError if it is open."""
-    found = Target(merge_vertices(read_mesh(folder / name)))
+    found = Target(merge_vertices(mesh_from(name, folder)))
     if len(edges := open_edges(found.mesh)):
         corners = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
         what = f"is not closed: {len(edges)} of its edges bound an odd number of triangles, one of them {corners}"

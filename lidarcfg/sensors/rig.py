@@ -3,8 +3,8 @@
 import ipaddress
 import math
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -15,6 +15,7 @@ from lidarcfg.config.models import (
     COORDINATE_MAX_M,
     NAME_MAX,
     Angles,
+    Given,
     Model,
     Name,
     Position,
@@ -24,11 +25,12 @@ from lidarcfg.config.models import (
     check_names,
     error_at,
     errors_at,
-    load,
+    load_or_check,
     unknown_key,
     validation_error,
 )
-from lidarcfg.files import example, replacing
+from lidarcfg.errors import ConfigError
+from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.sensors.realism import Realism, RealismOrName, resolved
 from lidarcfg.sensors.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
@@ -175,6 +177,46 @@ class Rig:
     mounts: tuple[Mount, ...]
     vehicle: Section | None = None  # what they are mounted on, as world/vehicle.py reads it; None: not known
 
+    def without(self, *names: str) -> "Rig":
+        """The rig without some sensors. Raises ConfigError for names that it does not have, and if none is left."""
+        for name in names:
+            self._mount(name)
+        kept = tuple(mount for mount in self.mounts if mount.name not in names)
+        if not kept:
+            raise ConfigError(f"rig {self.name!r}: without {', '.join(names)} no sensor is left")
+        return replace(self, mounts=kept)
+
+    def moved(
+        self, name: str, position_m: Sequence[float] | None = None, rpy_deg: Sequence[float] | None = None
+    ) -> "Rig":
+        """The rig with a sensor at another place, at other angles, or both. Raises ConfigError."""
+        changes: dict[str, Any] = {}
+        for key, value in (("position_m", position_m), ("rpy_deg", rpy_deg)):
+            if value is not None:
+                changes["rpy_rad" if key == "rpy_deg" else key] = _three(f"rig {self.name!r}: {name}: {key}", value)
+        if "rpy_rad" in changes:
+            changes["rpy_rad"] = angles_rad(None, changes["rpy_rad"])
+        mount = replace(self._mount(name), **changes)
+        return replace(self, mounts=tuple(mount if one.name == name else one for one in self.mounts))
+
+    def _mount(self, name: str) -> Mount:
+        for mount in self.mounts:
+            if mount.name == name:
+                return mount
+        known = ", ".join(mount.name for mount in self.mounts)
+        raise ConfigError(f"rig {self.name!r}: no sensor is called {name!r}; allowed: {known}")
+
+
+def _three(what: str, values: Sequence[float]) -> Vec3:
+    """Three numbers. Raises ConfigError."""
+    try:
+        x, y, z = (float(value) for value in values)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{what} is {values!r}; allowed: three numbers") from None
+    if not all(math.isfinite(value) and abs(value) <= COORDINATE_MAX_M for value in (x, y, z)):
+        raise ConfigError(f"{what} is {values!r}; allowed: three numbers up to {COORDINATE_MAX_M:g}")
+    return x, y, z
+
 
 def resolve_sensor(
     path: Path, index: int, model: str | None, elevation_deg: tuple[float, ...] | None, *at: str | int
@@ -201,17 +243,16 @@ def default_host(index: int) -> str | None:
     return str(host) if host <= LAST_HOST else None
 
 
-def load_rig(path: str | Path) -> Rig:
-    """The rig in a YAML file. Raises ConfigError with file, line and key."""
-    path = example(path)
-    file = load(path, RigFile)
+def load_rig(given: Given) -> Rig:
+    """The rig in a YAML file, or of a dict with its keys. Raises ConfigError with file, line and key."""
+    file, path = load_or_check(given, RigFile)
     mounts: list[Mount] = []
     known: dict[tuple[str | None, tuple[float, ...] | None], tuple[Sensor, str | None]] = {}  # read once each
-    for i, given in enumerate(file.sensors):
-        which = given.model, given.elevation_deg
+    for i, listed in enumerate(file.sensors):
+        which = listed.model, listed.elevation_deg
         if which not in known:
             known[which] = resolve_sensor(path, i, *which)
-        mount = _mount(path, i, given, *known[which])
+        mount = _mount(path, i, listed, *known[which])
         for other in mounts:
             _check_endpoints(path, i, mount, other)
         mounts.append(mount)

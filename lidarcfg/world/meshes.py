@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarcfg import maths
 from lidarcfg.config.models import COORDINATE_MAX_M, Vec3
@@ -16,6 +15,9 @@ from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array, pose, transform
 from lidarcfg.inputs import check_regular
 from lidarcfg.world.gltf import SUFFIXES, check_nodes
+from lidarcfg.world.mesh_source import Mesh as Mesh
+from lidarcfg.world.mesh_source import Triangles
+from lidarcfg.world.mesh_source import check_mesh as check_mesh
 from lidarcfg.world.scene_file import Box, Cylinder, MeshFile, Plane, Sphere
 
 _CLOUD = "a point cloud has no surfaces; give it under surfels, with a radius, in a scene"
@@ -32,8 +34,6 @@ NO_MESHES = {  # by suffix: what the file is instead, and what to do
 }
 
 FILE_MAX = 500_000_000  # bytes of a mesh's file: ten million triangles
-
-Mesh = tuple[Array, NDArray[np.int64]]  # vertices (V, 3) in metres, triangles (T, 3)
 
 
 def box_mesh(box: Box) -> Mesh:
@@ -131,6 +131,13 @@ def read_mesh(path: Path) -> Mesh:
     return vertices, triangles
 
 
+def mesh_from(source: str | Triangles, folder: Path) -> Mesh:
+    """The mesh that a file in a folder names or holds. Raises SceneError."""
+    if isinstance(source, Triangles):
+        return source.vertices_m, source.triangles
+    return read_mesh(folder / source)
+
+
 def _binary_ply(path: Path) -> Mesh | None:
     """The mesh in a binary PLY file of triangles, without loading Open3D for a second; None for other files."""
     with path.open("rb") as file:
@@ -145,16 +152,6 @@ def _binary_ply(path: Path) -> Mesh | None:
     except (plyfile.PlyParseError, LookupError, ValueError, OverflowError, MemoryError):
         return None
     return (vertices, triangles) if len(triangles) else None
-
-
-def check_mesh(what: str, mesh: Mesh) -> None:
-    """Raises SceneError for vertices that are not finite, and for triangles with missing vertices."""
-    vertices, triangles = mesh
-    if not np.isfinite(vertices).all():
-        raise SceneError(f"{what}: vertex {np.argwhere(~np.isfinite(vertices))[0][0]} is not finite")
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        bad = triangles[(triangles < 0) | (triangles >= len(vertices))][0]
-        raise SceneError(f"{what}: a triangle names vertex {bad}; there are {len(vertices)}")
 
 
 @contextmanager

@@ -1,27 +1,29 @@
 """A scene: the surroundings of the vehicle in the world frame, from a YAML file."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.config.document import Key
-from lidarcfg.config.models import Model, Position, errors_at, load
+from lidarcfg.config.models import Given, Model, Position, Section, errors_at, load_or_check
 from lidarcfg.errors import SceneError
-from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.world.gltf import buffer_files
 from lidarcfg.world.gltf_models import model_objects
 from lidarcfg.world.height_field import height_field_mesh
+from lidarcfg.world.mesh_source import Triangles
 from lidarcfg.world.meshes import (
     Mesh,
     box_mesh,
     cylinder_mesh,
     join_meshes,
+    mesh_from,
     place_mesh,
     plane_mesh,
-    read_mesh,
     sphere_mesh,
 )
 from lidarcfg.world.motion import Motion
@@ -40,7 +42,11 @@ from lidarcfg.world.scene_file import (
 )
 from lidarcfg.world.surfels import surfels_mesh
 
+if TYPE_CHECKING:
+    import open3d
+
 DRAWN_M = 0.01  # tolerance of the facets that spheres and cylinders are drawn with
+REFLECTIVITY = 20  # of objects that say none, in per cent
 NO_MESH = np.empty((0, 3)), np.empty((0, 3), np.int64)
 POSITION_KEYS = ("center_m", "base_m", "position_m")  # the key of an object's position, by kind
 
@@ -65,6 +71,35 @@ class Scene:
     items: tuple[Ground | SceneObject, ...] = ()  # (objects,) what each was made from
     path: Path | None = field(default=None, compare=False)  # of the scene's file
 
+    @classmethod
+    def from_meshes(
+        cls,
+        meshes: "Mapping[str, open3d.t.geometry.TriangleMesh | open3d.geometry.TriangleMesh]",
+        reflectivity: int | Mapping[str, int] = REFLECTIVITY,
+        ground_reflectivity: int | None = None,
+        name: str = "meshes",
+    ) -> "Scene":
+        """The scene of Open3D's meshes by their names, in metres in the world frame; a copy.
+
+        One reflectivity for all, or those by name that differ. With `ground_reflectivity` there is a ground at z = 0.
+        Raises SceneError for what is no mesh, and ConfigError.
+        """
+        own = reflectivity if isinstance(reflectivity, Mapping) else dict.fromkeys(meshes, reflectivity)
+        if unknown := own.keys() - meshes.keys():
+            raise SceneError(f"reflectivity: no mesh is called {min(unknown)!r}; allowed: {', '.join(meshes)}")
+        listed = tuple(
+            {
+                "name": key,
+                "file": Triangles.of(mesh),
+                "position_m": (0.0, 0.0, 0.0),
+                "reflectivity": own.get(key, REFLECTIVITY),
+            }
+            for key, mesh in meshes.items()
+        )
+        ground = {} if ground_reflectivity is None else {"ground": {"reflectivity": ground_reflectivity}}
+        file = Section({"name": name, "meshes": listed, **ground}).checked(SceneFile)
+        return build_scene(file, Path(name))
+
     @property
     def rounds(self) -> list[tuple[int, Sphere | Cylinder]]:
         """The spheres and cylinders, with the index of each object."""
@@ -82,16 +117,18 @@ class Scene:
         return join_meshes(parts)
 
 
-def load_scene(path: str | Path) -> Scene:
-    """The scene in a YAML file. Raises ConfigError, also for a mesh that cannot be used, and SceneError if empty."""
-    path = example(path)
-    file = load(path, SceneFile)
-    return replace(build_scene(file, path), path=path)
+def load_scene(given: Given) -> Scene:
+    """The scene in a YAML file, or of a dict with its keys.
+
+    Raises ConfigError, also for a mesh that cannot be used, and SceneError if it is empty.
+    """
+    file, path = load_or_check(given, SceneFile)
+    return replace(build_scene(file, path), path=None if isinstance(given, Mapping) else path)
 
 
 def files_of(file: Model, folder: Path) -> list[Path]:
     """The files that a scene or a vehicle in a folder names, with those that these need."""
-    paths = [folder / item.file for kind in FILES for item in getattr(file, kind, ()) if item.file]
+    paths = [folder / item.file for kind in FILES for item in getattr(file, kind, ()) if isinstance(item.file, str)]
     return [one for path in paths for one in (path, *buffer_files(path))]
 
 
@@ -141,7 +178,7 @@ def _from_file(item: SceneObject, folder: Path) -> list[ObjectMesh]:
     if isinstance(item, GltfModel):
         return list(model_objects(item, folder))
     assert isinstance(item, MeshFile)
-    return [(item, place_mesh(read_mesh(folder / item.file), item))]
+    return [(item, place_mesh(mesh_from(item.file, folder), item))]
 
 
 def _position_m(item: Ground | SceneObject) -> Position:

@@ -18,6 +18,7 @@ from lidarcfg.config.models import (
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.categories import Category
 from lidarcfg.world.geodesy import GeoOrigin
+from lidarcfg.world.mesh_source import MeshSource
 from lidarcfg.world.motion import Motion
 
 GROUND = "ground"
@@ -76,9 +77,9 @@ class Plane(SceneObject):
 
 
 class MeshFile(SceneObject):
-    """A triangle mesh in a file that Open3D reads."""
+    """A triangle mesh, in a file that Open3D reads or in the scene's own."""
 
-    file: FileName  # relative to the scene's file
+    file: MeshSource  # a name is relative to the scene's file
     position_m: Position
     rpy_deg: Vec3 = (0.0, 0.0, 0.0)
     scale: Positive = 1.0
@@ -112,6 +113,7 @@ class HeightField(SceneObject):
 class GltfModel(MeshFile):
     """A glTF file each of whose nodes becomes an object NAME/NODE; its y up becomes z up."""
 
+    file: FileName
     nodes: tuple[str, ...] | None = None  # only these
     materials: dict[str, Byte] = Field(default_factory=dict)  # by name; all others have the model's reflectivity
 
@@ -119,6 +121,7 @@ class GltfModel(MeshFile):
 class Surfels(MeshFile):
     """A disc at each point of a file, across its normal, which is in the file or estimated from neighbours."""
 
+    file: FileName
     radius_m: Size
 
 

@@ -3,12 +3,12 @@
 import math
 import os
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from pydantic import model_validator
@@ -22,6 +22,7 @@ from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
+from lidarcfg.world.mesh_source import Triangles
 from lidarcfg.world.meshes import Mesh
 from lidarcfg.world.scene import Scene, build_scene
 from lidarcfg.world.scene_file import KINDS, Box, Cylinder, MeshFile, Plane, SceneFile, SceneObject, Sphere, check_names
@@ -35,6 +36,9 @@ from lidarcfg.world.solids import (
     open_edges,
 )
 from lidarcfg.world.tracer import NO_SHAPES, Tracer, shapes_of
+
+if TYPE_CHECKING:
+    import open3d
 
 MANY_TRIANGLES = 500_000  # triangles: reading and checking them takes seconds
 LEAST_M = 0.05  # the size of a vehicle's mesh: of a part of one
@@ -149,6 +153,24 @@ class Vehicle:
     closed: dict[str, Mesh]  # closed boxes and meshes by name, their vertices merged
     warnings: tuple[str, ...]  # what looks wrong with its meshes
 
+    @classmethod
+    def from_meshes(
+        cls,
+        meshes: "Mapping[str, open3d.t.geometry.TriangleMesh | open3d.geometry.TriangleMesh]",
+        allow_inside: bool = False,
+    ) -> "Vehicle":
+        """The vehicle of Open3D's meshes by their names, in metres in the vehicle frame; a copy.
+
+        The insides of closed ones are no part of a study's region. Raises SceneError for what is no mesh.
+        """
+        bodies = []
+        for name, mesh in meshes.items():
+            own = Triangles.of(mesh)
+            closed = not len(open_edges(merge_vertices((own.vertices_m, own.triangles))))
+            bodies.append({"name": name, "file": own, "exclude": closed})
+        section = Section({"meshes": tuple(bodies), "allow_inside": allow_inside})
+        return vehicle(section.checked(VehicleFile), Path(), ())
+
     @property
     def section(self) -> Section:
         """The vehicle as the section of a rig's file."""
@@ -244,9 +266,15 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
         what = f"the vehicle has {len(scene.triangles):,} triangles; reading them took {seconds:.1f} s"
         warnings.append(_warning(path, at, what))
     excluded = tuple(item.name for kind in KINDS for item in getattr(file, kind) if item.exclude)
-    meshes = (mesh.model_copy(update={"file": os.path.realpath(path.parent / mesh.file)}) for mesh in file.meshes)
-    whole = file.model_copy(update={"meshes": tuple(meshes)})
+    whole = file.model_copy(update={"meshes": tuple(_whole(mesh, path.parent) for mesh in file.meshes)})
     return Vehicle(scene, excluded, file.allow_inside, whole, closed, tuple(warnings))
+
+
+def _whole(mesh: BodyMesh, folder: Path) -> BodyMesh:
+    """A body with the absolute path of its file, if it has one."""
+    if not isinstance(mesh.file, str):
+        return mesh
+    return mesh.model_copy(update={"file": os.path.realpath(folder / mesh.file)})
 
 
 def load_vehicle(path: str | Path) -> Vehicle:

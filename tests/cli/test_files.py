@@ -56,7 +56,15 @@ def validators():
 def kind_by_folder(path):
     if path.stem == "trend":
         return "plan"
-    return {"studies": "study", "rigs": "rig", "scenes": "scene", "sensors": "sensor"}[path.parent.name]
+    folders = {
+        "studies": "study",
+        "rigs": "rig",
+        "scenes": "scene",
+        "sensors": "sensor",
+        "requirements": "requirements",
+        "scenarios": "scenario",
+    }
+    return folders[path.parent.name]
 
 
 def test_every_file_that_comes_along_is_of_its_kind_and_keeps_its_schema(validators):
@@ -156,7 +164,7 @@ def test_a_template_replaces_nothing(tmp_path):
         write_template("study", tmp_path / "other.yaml", "truck")
     assert not (tmp_path / "other.yaml").exists()
     with pytest.raises(
-        ConfigError, match=r"no vehicle is called 'truk'; allowed: sedan, shuttle, truck, or a mesh file"
+        ConfigError, match=r"no vehicle is called 'truk'; allowed: bus, sedan, shuttle, truck, or a mesh file"
     ):
         write_template("study", tmp_path / "other.yaml", "truk")
     with pytest.raises(ConfigError, match=r"gone.ply: no such file"):
@@ -177,7 +185,7 @@ def test_files_are_summed_up(tmp_path):
     (tmp_path / "body.yaml").write_text("boxes: [{name: body, size_m: [4, 2, 1]}]\n")
     done = lidarcfg("validate", tmp_path / "odd.yaml", tmp_path / "arc.yaml", tmp_path / "body.yaml", code=2)
     assert re.search(
-        r"odd.yaml: is not one of lidarcfg's files; allowed: capture manifest, plan, rig, scene, sensor, study, trajectory",
+        r"odd.yaml: is not one of lidarcfg's files; allowed: capture manifest, plan, requirements, rig, scenario, scene, sensor, study, ",
         done.stderr,
     )
     assert re.search(r"arc.yaml: trajectory: an arc\n.*body.yaml: vehicle: a vehicle of 1 body with 12", done.stdout)
@@ -242,6 +250,22 @@ def study(tmp_path, *changes, exclude="", constraints=""):
         ),
         ([("[9, 9, 0]", "[0.262, 0, 0]")], "", r":5:\d+: sensors\[1\].max.rpy_deg: 0.262 looks like 15° in radians"),
         ([("[9, 9, 0]", "[0, 0, 3.1416]")], "", r"3.1416 looks like 180° in radians, which go to rpy_rad"),
+        ([("[9, 9, 0]", "[9, 0.5236, 0]")], "", r"0.5236 looks like 30° in radians, beside others that are degrees"),
+        (
+            [("[9, 9, 0]", "[0, 0, 9]"), ("[1, 1, 3], rpy_deg: [0, 0, 0]", "[1, 1, 3], rpy_deg: [0, 0, 1.57]")],
+            "",
+            r"1.57 l",
+        ),
+        (
+            [("[2.1, 0, 1]", "[2.1, 0, -0.5]")],
+            "",
+            r":5:\d+: sensors\[1\].min.position_m\[2\]: this bound is 0.5 m below the g",
+        ),
+        (
+            [("[3, 1, 1.5]", "[3, 1, 1500]")],
+            "",
+            r":5:\d+: sensors\[1\].max.position_m\[2\]: .* 1500 m above the ground; are",
+        ),
         (
             [("model: vlp-16", "elevation_deg: [-0.2, 0, 0.2]")],
             "",
@@ -274,7 +298,28 @@ def test_a_rig_s_angles_too(tmp_path):
     assert list(rig_warnings(path)) == [
         f"{path}:3:53: sensors[0].rpy_deg: 1.5708 looks like 90° in radians, which go to rpy_rad"
     ]
+    path.write_text(
+        "name: two\nsensors:\n  - {name: a, model: vlp-16, position_m: [0, 0, 1], rpy_deg: [0, 0, 1.57]}\n"
+        "  - {name: b, model: vlp-16, position_m: [1, 0, 1], rpy_deg: [0, 1.25, 180]}\n"
+    )
+    assert list(rig_warnings(path)) == [
+        f"{path}:3:53: sensors[0].rpy_deg: 1.57 looks like 90° in radians, which go to rpy_rad"
+    ]
+    path.write_text(path.read_text().replace("180", "3"))  # now 1.57 may be degrees as the others
+    assert list(rig_warnings(path)) == []
     assert list(rig_warnings(ROOT / "data/rigs/roof.yaml")) == []
+
+
+def test_a_rig_s_sensors_below_the_ground_or_far_above_it(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(
+        "name: two\nsensors:\n  - {name: a, model: vlp-16, position_m: [0, 0, -0.2]}\n"
+        "  - {name: b, model: vlp-16, position_m: [0, 0, 1900]}\n  - {name: c, model: vlp-16, position_m: [0, 0, 40]}\n"
+    )
+    assert list(rig_warnings(path)) == [
+        f"{path}:3:49: sensors[0].position_m[2]: this is 0.2 m below the ground, which is at z = 0",
+        f"{path}:4:49: sensors[1].position_m[2]: this is 1900 m above the ground; are these metres?",
+    ]
 
 
 def test_a_slow_objective_is_said_with_what_it_costs(tmp_path, monkeypatch):

@@ -59,12 +59,53 @@ def test_an_open3d_voxel_grid_is_a_region():
 def test_cuboids_go_through_a_scaled_copy_and_back():
     region = Region.from_boxes((1, -2, 0), (4, 2, 1), (1, 0.5, 0.2), (((2, 0, 0), (3, 1, 1)),))
     index = np.argwhere(region.included)
-    grid = region.voxel_grid(index, np.zeros((len(index), 3)))
+    grid = region.scaled_voxel_grid(index, np.zeros((len(index), 3)))
     assert len(grid.get_voxels()) == len(index)
     back = Region.from_voxel_grid(grid, region.cuboid_m)
     assert np.array_equal(back.included, region.included)
     assert back.min_m == pytest.approx(region.min_m)
     assert back.max_m == pytest.approx(region.max_m)
+
+
+def test_a_voxel_grid_has_the_region_s_proportions():
+    """Cuboids of 1 × 0.5 × 0.2 m as cubes of 0.1 m: 500 of each, in Open3D's bounds; each of its cuboid's colour."""
+    region = Region.from_boxes((1, -2, 0), (4, 2, 1), (1, 0.5, 0.2), (((2, 0, 0), (3, 1, 1)),))
+    index = np.argwhere(region.included)
+    colour = index / np.array(region.shape)
+    grid = region.voxel_grid(index, colour, 0.1)
+    np.testing.assert_allclose(grid.get_min_bound(), (1, -2, 0), atol=1e-9)
+    np.testing.assert_allclose(grid.get_max_bound(), (4, 2, 1), atol=1e-9)
+    voxels = grid.get_voxels()
+    assert len(voxels) == len(index) * 10 * 5 * 2
+    for voxel in voxels[::997]:
+        at = np.array(grid.get_voxel_center_coordinate(voxel.grid_index))
+        cuboid = ((at - region.min_m) / region.cuboid_m).astype(int)
+        np.testing.assert_allclose(voxel.color, cuboid / np.array(region.shape))
+    usual = region.voxel_grid(index, colour)
+    assert usual.voxel_size == pytest.approx(0.2)
+    np.testing.assert_allclose(usual.get_max_bound(), (4, 2, 1), atol=0.21)
+    with pytest.raises(ConfigError, match="voxel_m is 0; allowed: above 0"):
+        region.voxel_grid(index, colour, 0)
+
+
+def test_cuboids_as_a_mesh_and_lines():
+    """An L of three cuboids: volume, surface and edges by hand; watertight and outward for Open3D."""
+    region = Region.from_boxes((1, -2, 0), (4, 2, 1), (1, 0.5, 0.2))
+    chosen = np.zeros(region.shape, bool)
+    chosen[0, 0, 0] = chosen[1, 0, 0] = chosen[0, 1, 0] = True
+    mesh = region.mesh(chosen)
+    assert mesh.is_watertight()
+    assert mesh.is_orientable()
+    assert mesh.get_volume() == pytest.approx(3 * 1 * 0.5 * 0.2)
+    assert mesh.get_surface_area() == pytest.approx(2 * 3 * 0.5 + 4 * 1 * 0.2 + 4 * 0.5 * 0.2)
+    np.testing.assert_allclose(mesh.get_min_bound(), (1, -2, 0))
+    np.testing.assert_allclose(mesh.get_max_bound(), (3, -1, 0.2))
+    lines = region.line_set(chosen)
+    ends = np.asarray(lines.points)[np.asarray(lines.lines)]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    assert length.sum() == pytest.approx(2 * (4 * 1 + 4 * 0.5) + 6 * 0.2)  # six corners of the L, seen from above
+    with pytest.raises(ConfigError, match="no cuboid to draw"):
+        region.mesh(np.zeros(region.shape, bool))
 
 
 def test_an_empty_voxel_grid_is_refused():

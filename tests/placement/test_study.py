@@ -268,3 +268,20 @@ def test_objectives(tmp_path, objective, by_hand):
 def test_an_objective_of_an_object_that_is_none(tmp_path):
     with pytest.raises(ConfigError, match=r"objective.detection.bus: no such object; allowed: box"):
         study(tmp_path, SMALL + "objective: {detection: {bus: 1}}\n")
+
+
+def test_the_shadow_of_a_wall_by_hand(tmp_path):
+    """A sensor at 1 m before a wall of 2 m: all behind it and below the line over its top is hidden, and nothing else."""
+    path = tmp_path / "study.yaml"
+    path.write_text(
+        "region: {min_m: [-4, -2, 0], max_m: [8, 2, 4], cuboid_m: [0.5, 0.5, 0.5]}\n"
+        "vehicle: {boxes: [{name: wall, center_m: [2, 0, 1], size_m: [0.02, 100, 2]}]}\n"
+        "sensors:\n  - {model: vlp-16, min: {position_m: [0, 0, 1], rpy_deg: [0, 0, 0]}, "
+        "max: {position_m: [0, 0, 1], rpy_deg: [0, 0, 0]}}\n"
+    )
+    study = load_study(path)
+    rig = study.rig(study.midpoint)
+    x, _, z = np.meshgrid(*study.region.centres(), indexing="ij")
+    expected = (x > 2) & (z < 1 + x / 2)
+    assert np.array_equal(study.shadow(rig), expected)
+    assert study.region.mesh(expected).get_volume() == pytest.approx(expected.sum() * 0.125)

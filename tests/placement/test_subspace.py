@@ -195,3 +195,24 @@ def test_subspaces_come_back_as_a_voxel_grid():
     assert len(colour) == 63
     assert colour[1, 1, 0][2] > colour[1, 1, 0][0]  # the thin slab below is blue
     assert colour[1, 1, 3][0] > colour[1, 1, 3][2]  # the thick one above red
+    scaled = halves.scaled_voxel_grid(vsr_m(halves))  # the same of cubes
+    assert {tuple(v.grid_index.tolist()): v.color.tolist() for v in scaled.get_voxels()} == {
+        key: value.tolist() for key, value in colour.items()
+    }
+
+
+def test_subspaces_come_back_as_meshes():
+    """Their volumes and surfaces are those that the metric has, by Open3D's own sums."""
+    region = Region.from_boxes((0, 0, 0), (4, 2, 1), (0.5, 0.25, 0.2), (((0, 0, 0), (1, 1, 1)),))
+    parts = segment(region, [lidar((2, 1, 0.5), (0, 0, 0), np.array([-0.1, 0.2]))])
+    assert len(parts) > 1
+    for number in range(len(parts)):
+        mesh = parts.mesh(number)
+        assert mesh.get_surface_area() == pytest.approx(surface_m2(parts)[number])
+        assert len(parts.line_set(number).lines) >= 12
+        if mesh.is_watertight():  # it may touch itself at an edge
+            assert mesh.get_volume() == pytest.approx(volume_m3(parts)[number])
+    both = parts.mesh(*range(len(parts)))
+    assert both.get_volume() == pytest.approx(volume_m3(parts).sum())
+    with pytest.raises(ConfigError, match="no cuboid to draw"):
+        parts.blind_mesh()  # everything is seen

@@ -250,9 +250,11 @@ for each in OBJECTIVES[1:]:
 
     @case(f"search of {each}")
     def _search_for(folder: Path, name: str = each) -> Answers:
-        return _searched(name, 2, method="abc", evaluations=40, seed=2, bees=8) | named(
-            "auto", _searched(name, 2, method="auto", evaluations=40, seed=4)
-        )
+        answers = _searched(name, 2, method="abc", evaluations=40, seed=2, bees=8)
+        answers |= named("auto", _searched(name, 2, method="auto", evaluations=40, seed=4))
+        if name == "car-returns":  # what is told of a trial that is given up depends on which thread found it hopeless
+            answers = {key: value for key, value in answers.items() if not key.endswith("told")}
+        return answers
 
 
 @case("price front")

@@ -24,6 +24,9 @@ struct Waiting {
   std::int32_t code;
 };
 
+/// The row of an axis: the last one that of the largest component.
+int row_of(int axis, int face) { return (axis + 5 - (face & 3)) % 3; }
+
 /// Have the memory of a subtree's top fetched, which is wanted soon.
 void prefetch(const Bvh& bvh, std::int32_t code) {
   const void* const at = code >= 0 ? static_cast<const void*>(&bvh.nodes[code]) : &bvh.leaves[LeafCode(code).first()];
@@ -105,7 +108,7 @@ void Packet::load(Rows<const double> origins, Rows<const double> directions, Ind
   const int per_chunk = chunk * group_size;
   groups_ = (count + per_chunk - 1) / per_chunk * chunk;
   for (int axis = 0; axis < 3; ++axis) {
-    const int row = (axis + 5 - (face & 3)) % 3;
+    const int row = row_of(axis, face);
     axis_[row] = axis;
     const double* const from = origins[axis].data() + first;
     const double* const way = directions[axis].data() + first;
@@ -209,7 +212,7 @@ void Packet::limit(double range) {
 }
 
 void Packet::hit_ground(double ground_m, double limit_m) {
-  const int row = static_cast<int>(std::find(axis_, axis_ + 3, 2) - axis_);
+  const int row = row_of(2, face_);
   for (int n = 0; n < groups_ * group_size; n += group_size) {
     const Doubles far = (ground_m - simd::load<Doubles>(origin_[row] + n)) / simd::load<Doubles>(direction_[row] + n);
     const auto ground = (far > 0) & (far <= limit_m) & (far < farthest_ground_m);
@@ -294,7 +297,7 @@ unsigned Packet::groups_at(const Box& box, int g) const {
 
 /// Keep a triangle where some groups of a chunk hit it first; returns whether any does.
 bool Packet::hit_triangle(const Shape& shape, double slot, double after, int first_group, unsigned which) {
-  const auto [i, j, k] = axis_;
+  const auto& [i, j, k] = axis_;
   const Vec3 a{shape[i], shape[j], shape[k]};
   const Vec3 b{shape[3 + i], shape[3 + j], shape[3 + k]};
   const Vec3 c{shape[6 + i], shape[6 + j], shape[6 + k]};

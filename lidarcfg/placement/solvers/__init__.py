@@ -2,41 +2,42 @@
 
 from collections.abc import Callable
 
+from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Coordinates, Search
 from lidarcfg.placement.study_file import Solver
 
 
-def _auto(coordinates: Coordinates, solver: Solver) -> Search:
+def _auto(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
     from lidarcfg.placement.solvers.auto import Auto
 
-    return Auto(coordinates, solver.seed)
+    return Auto(coordinates, solver.seed, start)
 
 
-def _abc(coordinates: Coordinates, solver: Solver) -> Search:
+def _abc(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
     from lidarcfg.placement.solvers.bee_colony import BeeColony
 
     return BeeColony(len(coordinates), solver.bees, solver.limit or solver.bees * len(coordinates), solver.seed)
 
 
-def _cmaes(coordinates: Coordinates, solver: Solver) -> Search:
+def _cmaes(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
     from lidarcfg.placement.solvers.cma_es import CmaEs
 
-    return CmaEs(len(coordinates), solver.seed)
+    return CmaEs(len(coordinates), solver.seed, start)
 
 
-def _de(coordinates: Coordinates, solver: Solver) -> Search:
+def _de(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
     from lidarcfg.placement.solvers.lshade import LshadeRestarts
 
     return LshadeRestarts(len(coordinates), solver.seed)
 
 
-def _annealing(coordinates: Coordinates, solver: Solver) -> Search:
+def _annealing(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
     from lidarcfg.placement.solvers.annealing import AnnealingRounds
 
-    return AnnealingRounds(coordinates, solver.seed)
+    return AnnealingRounds(coordinates, solver.seed, start)
 
 
-SOLVERS: dict[str, Callable[[Coordinates, Solver], Search]] = {
+SOLVERS: dict[str, Callable[[Coordinates, Solver, Array | None], Search]] = {
     "auto": _auto,
     "abc": _abc,
     "annealing": _annealing,
@@ -45,6 +46,9 @@ SOLVERS: dict[str, Callable[[Coordinates, Solver], Search]] = {
 }
 
 
-def start_search(solver: Solver, coordinates: Coordinates) -> Search:
-    """The search that a study's solver settings describe, over some coordinates."""
-    return SOLVERS[solver.method](coordinates, solver)
+def start_search(solver: Solver, coordinates: Coordinates, start: Array | None = None) -> Search:
+    """The search that a study's solver settings describe, over some coordinates.
+
+    `start` (dimensions,): a good point, near which solvers begin that begin near one; `abc` and `de` do not.
+    """
+    return SOLVERS[solver.method](coordinates, solver, start)

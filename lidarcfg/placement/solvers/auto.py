@@ -19,12 +19,14 @@ EVALUATIONS = 200  # of CMA-ES at most, per dimension
 
 
 class Auto:
-    """Random points, one run of CMA-ES, and rounds of annealing."""
+    """Random points, one run of CMA-ES, and rounds of annealing. `start` (dimensions,) is among the points."""
 
-    def __init__(self, coordinates: Coordinates, seed: int) -> None:
+    def __init__(self, coordinates: Coordinates, seed: int, start: Array | None = None) -> None:
         self._rng = np.random.default_rng(seed)
         self._coordinates = coordinates
         self._points = self._rng.random((POINTS, len(coordinates)))
+        if start is not None:
+            self._points[0] = start
         self._run: CmaEs | AnnealingRounds | None = None
         self._left = EVALUATIONS * len(coordinates)
         self.cycles = 0

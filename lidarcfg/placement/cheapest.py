@@ -1,0 +1,269 @@
+"""The cheapest rig that meets all requirements: combination after combination, the cheapest first.
+
+Combinations are searched in rounds. In the first, each is tried with the plain rigs alone; in each further one its
+search goes on until it has FIRST evaluations, then GROWTH times as many, and so on. A round ends at the first
+combination that has a verified rig; from then on only cheaper ones are searched, for one more round after each find.
+So the answer depends on the evaluations alone, not on how many workers there are. Those that cost too much, or have
+too many sensors, are not searched.
+"""
+
+import math
+import pickle
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.placement.combinations import Combination, Option, distinct_options
+from lidarcfg.placement.plan import versions
+from lidarcfg.placement.requirements_search import RequirementsRun
+from lidarcfg.placement.search_run import INFEASIBLE, Budget, Log, Placement
+from lidarcfg.placement.study import Study
+from lidarcfg.placement.sweep import Workers, check_versions, distribute
+
+NO_RIG = "no rig of it keeps the constraints"  # what comes of a search instead of an effort
+FIRST = 250  # evaluations of the second round
+GROWTH = 4
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What the search of a combination has come to."""
+
+    log: Log
+    evaluations: int
+    shortfall: float  # of the best rig; 0: it meets all
+    failing: tuple[str, ...]  # the requirements that it misses
+    meets: bool  # verified, refined places included
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A combination, and how long it was searched with what result."""
+
+    name: str
+    price: float
+    sensors: int
+    evaluations: int
+    shortfall: float  # of its best rig; inf if it was not searched
+    failing: tuple[str, ...]
+    meets: bool
+    too_dear: bool = False  # no rig of it is allowed
+
+
+@dataclass(frozen=True)
+class Cheapest:
+    """The cheapest rig that meets all requirements; or where none was found, the one that comes closest."""
+
+    combination: Combination
+    placement: Placement
+    tried: tuple[Tried, ...]  # by price: all that are cheaper, and those that were searched; all if none meets all
+    combinations: int  # that are not alike
+    allowed: int  # of those, that price and number of sensors allow
+    evaluations: int
+    seconds: float
+    interrupted: bool
+
+    @property
+    def meets(self) -> bool:
+        """Whether it meets all requirements."""
+        return self.placement.verdict is not None and self.placement.verdict.passed
+
+
+OnEffort = Callable[["CheapestRun", Option], None]
+
+
+def cheapest(
+    study: Study,
+    threads: int | None = None,
+    on_effort: OnEffort | None = None,
+    workers: Workers | None = None,
+    skip: bool = True,
+) -> Cheapest:
+    """Find the cheapest combination of a study with a rig that meets all requirements.
+
+    With `workers` combinations are searched there, each by one thread; the result is the same. An interrupt (Ctrl-C)
+    ends the search and keeps what is found so far. Raises ConfigError without a choice, without requirements, and if
+    no combination has a rig that meets the constraints.
+    """
+    if not study.to_choose:
+        raise ConfigError("nothing to choose in the study: no group has `choose`")
+    if study.requirements is None:
+        raise ConfigError("the study has no requirements, which the cheapest rig should meet; `front` needs none")
+    run = CheapestRun(study, threads, workers, skip)
+    interrupted = False
+    try:
+        run.run(on_effort)
+    except KeyboardInterrupt:
+        interrupted = True
+    return run.result(interrupted)
+
+
+class CheapestRun:
+    """The searches of all combinations, in progress."""
+
+    def __init__(
+        self, study: Study, threads: int | None = None, workers: Workers | None = None, skip: bool = True
+    ) -> None:
+        assert study.requirements
+        self._study = study
+        self._threads = threads
+        self._workers = workers
+        self._skip = skip
+        self._budget = Budget.of(study.solver)
+        self._began = time.perf_counter()
+        self.options = distinct_options(study)
+        asked = study.requirements
+        self.allowed = [n for n, one in enumerate(self.options) if not asked.too_dear(one.price, one.sensors)]
+        self.efforts: dict[int, Effort] = {}
+        self.found: int | None = None  # the cheapest that meets all so far
+        self.round = 0
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of all combinations."""
+        return sum(one.evaluations for one in self.efforts.values())
+
+    @property
+    def spent(self) -> float:
+        """The fraction of the budget that is spent."""
+        return min(self._budget.fraction(self.evaluations, 0), 1.0)
+
+    def run(self, on_effort: OnEffort | None = None) -> None:
+        """Search until the cheapest is found, or the budget is spent."""
+        numbers = self.allowed or list(range(len(self.options)))  # the closest, if all cost too much
+        rounds_left = math.inf
+        while numbers and rounds_left > 0 and not self._is_spent():
+            before = self.found
+            self._do_round(numbers, on_effort)
+            if self.found is not None:
+                rounds_left = 1 if self.found != before else rounds_left - 1
+                numbers = [n for n in numbers if self.options[n].price < self.options[self.found].price]
+            self.round += 1
+
+    def _is_spent(self) -> bool:
+        return bool(self.efforts) and self._budget.spent(self.evaluations, 0)
+
+    @property
+    def _evaluations_each(self) -> int:
+        """To which each combination's search goes on in this round."""
+        return FIRST * GROWTH ** (self.round - 1) if self.round else 0
+
+    def _do_round(self, numbers: list[int], on_effort: OnEffort | None) -> None:
+        """Let the search of each combination go on, up to the first that meets all."""
+
+        def ended(number: int, effort: Effort | str | None) -> bool:
+            if effort is None:
+                raise ConfigError(f"{self.options[number].name}: its workers were killed; out of memory?")
+            if isinstance(effort, Effort):
+                self.efforts[number] = effort
+                if effort.meets and (self.found is None or number < self.found):
+                    self.found = number
+            if on_effort:
+                on_effort(self, self.options[number])
+            return self._is_spent() or self.found in numbers
+
+        each = self._evaluations_each
+        if self._workers:
+            distribute(((n, self._job(n, each)) for n in numbers), self._workers, ended)
+            if self.found is not None:
+                for n in [n for n in numbers if n > self.found and n in self.efforts]:
+                    del self.efforts[n]  # begun before the find was known
+            return
+        for n in numbers:
+            study, log, seconds = self._arguments(n, each)
+            found = effort_of(study, log, each, seconds, self._threads, self._skip)
+            if ended(n, found or NO_RIG):
+                return
+
+    def _arguments(self, number: int, each: int) -> tuple[Study, Log | None, float]:
+        known = self.efforts.get(number)
+        left = self._budget.deadline - time.perf_counter()
+        return self.options[number].combination.study, known.log if known else None, left
+
+    def _job(self, number: int, each: int) -> tuple[Any, ...]:
+        study, log, seconds = self._arguments(number, each)
+        return work, pickle.dumps((study, log)), each, seconds, self._skip, versions()
+
+    def result(self, interrupted: bool) -> Cheapest:
+        """What is found so far. Raises KeyboardInterrupt if that is nothing."""
+        if not self.efforts:
+            if interrupted:
+                raise KeyboardInterrupt
+            raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
+        best = self.found
+        if best is None:
+            best = min(self.efforts, key=lambda n: (self.efforts[n].shortfall, self.options[n].price))
+        allowed = set(self.allowed)
+        tried = []
+        for n, one in enumerate(self.options):
+            effort = self.efforts.get(n)
+            if effort is None and self.found is not None and n > best:
+                continue
+            tried.append(
+                Tried(
+                    name=one.name,
+                    price=one.price,
+                    sensors=one.sensors,
+                    evaluations=effort.evaluations if effort else 0,
+                    shortfall=effort.shortfall if effort else math.inf,
+                    failing=effort.failing if effort else (),
+                    meets=effort.meets if effort else False,
+                    too_dear=n not in allowed,
+                )
+            )
+        combination = self.options[best].combination
+        return Cheapest(
+            combination=combination,
+            placement=_placement(combination.study, self.efforts[best], self._threads, self._skip, interrupted),
+            tried=tuple(tried),
+            combinations=len(self.options),
+            allowed=len(self.allowed),
+            evaluations=self.evaluations,
+            seconds=time.perf_counter() - self._began,
+            interrupted=interrupted,
+        )
+
+
+def work(content: bytes, evaluations: int, seconds: float, skip: bool, theirs: dict[str, str]) -> Effort | str:
+    """Search a combination in a worker. Raises ConfigError if `theirs` are not the worker's versions."""
+    check_versions(theirs, "the command")
+    study, log = pickle.loads(content)
+    return effort_of(study, log, evaluations, seconds, 1, skip) or NO_RIG
+
+
+def effort_of(
+    study: Study, log: Log | None, evaluations: int, seconds: float, threads: int | None = None, skip: bool = True
+) -> Effort | None:
+    """Let a combination's search go on to so many evaluations, or until a rig meets all requirements.
+
+    None if no rig keeps the constraints.
+    """
+    run = RequirementsRun(study, log)
+    budget = Budget(max(evaluations, 1), None, seconds, time.perf_counter() + seconds)
+    with run.evaluator(threads, skip) as evaluator:
+        while not run.is_over(budget) and not run.is_verified:
+            run.step(evaluator, budget)
+        if run.best_cost >= INFEASIBLE:
+            return None
+        shortfalls = evaluator.shortfalls(study.poses(run.best_x[None])[0])
+    assert study.requirements
+    names = [item.name for item in study.requirements.items]
+    return Effort(
+        log=run.log(),
+        evaluations=run.evaluations,
+        shortfall=sum(shortfalls),
+        failing=tuple(name for name, short in zip(names, shortfalls, strict=True) if short > 0),
+        meets=run.is_verified,
+    )
+
+
+def _placement(study: Study, effort: Effort, threads: int | None, skip: bool, interrupted: bool) -> Placement:
+    """The result of a combination's search, of which the costs are known."""
+    run = RequirementsRun(study, effort.log)
+    budget = Budget(max(effort.evaluations, 1), None, math.inf, math.inf)
+    with run.evaluator(threads, skip) as evaluator:
+        while not run.is_over(budget) and not run.is_verified:
+            run.step(evaluator, budget)
+    return run.placement(interrupted)

@@ -1,0 +1,247 @@
+"""The search of a study with requirements: plain rigs first, then the solver; its best rigs are verified on the way.
+
+Only the base grid's places count in trials. So from time to time, and at the end, the best rig that meets all is
+verified with refined places. If it fails there, the worst of these join the set, and the solver starts anew from that
+rig. When this happens depends on the evaluations alone, so a search that is resumed does the same.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.achievable import unachievable
+from lidarcfg.placement.plain_rigs import plain_points
+from lidarcfg.placement.requirements_evaluator import RequirementsEvaluator, meets, readable
+from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator
+from lidarcfg.placement.solvers import start_search
+from lidarcfg.placement.solvers.search import FixedPoint, Search, Trials, checked
+from lidarcfg.placement.study import Study
+from lidarcfg.requirements.objects import ObjectRequirement
+from lidarcfg.requirements.places import FINEST_M, FINEST_RAD
+from lidarcfg.requirements.verdict import Verdict
+from lidarcfg.requirements.verify import Verifier
+
+CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
+
+
+class PointsFirst:
+    """Given points first, then the study's solver, which starts from the best of them.
+
+    By requirements `auto` is annealing at once: its trials move one sensor each, and the others need not be cast anew.
+    """
+
+    def __init__(self, study: Study, points: Array, restarts: int = 0) -> None:
+        """`restarts`: how many searches of the study came before; each has another seed."""
+        self._study = study
+        self._points = points
+        self._seed = (study.solver.seed + restarts) % 2**63
+        self._search: Search | None = None
+        self._mean_cost = math.inf
+        self.cycles = 0
+        self.best_x = points[0]
+        self.best_cost = math.inf
+
+    @property
+    def sources(self) -> Array:
+        """(s, dimensions) the points that trials are drawn around."""
+        return self._search.sources if self._search else self.best_x[None]
+
+    @property
+    def mean_cost(self) -> float:
+        """The mean cost of the population."""
+        return self._search.mean_cost if self._search else self._mean_cost
+
+    def ask(self) -> Trials:
+        """The points, or the solver's next trials."""
+        if self._search:
+            return self._search.ask()
+        count = len(self._points)
+        return Trials("first", self._points, np.zeros(count, np.int64), np.full(count, np.inf))
+
+    def tell(self, cost: Array) -> None:
+        """The costs (n,) of the trials."""
+        x = self.ask().x
+        best = int(np.argmin(checked(cost)))
+        if cost[best] < self.best_cost:
+            self.best_x = x[best].copy()
+            self.best_cost = float(cost[best])
+        if self._search:
+            self._search.tell(cost)
+            self.cycles = self._search.cycles
+            return
+        self._mean_cost = float(cost.mean())
+        method = self._study.solver.method
+        if method == "auto" and self._study.requirements:
+            method = "annealing"
+        solver = self._study.solver.model_copy(update={"seed": self._seed, "method": method})
+        self._search = start_search(solver, self._study.coordinates, self.best_x)
+
+
+@dataclass(frozen=True)
+class RequirementsCycle(Cycle):
+    """A line of the history; while the best rig misses requirements, `best` and `mean` are shortfalls."""
+
+    shortfall: float  # of the best rig, at the places that count in trials
+
+
+@dataclass(frozen=True)
+class Verified:
+    """A rig that meets all requirements, refined places included."""
+
+    x: Array
+    cost: float
+    verdict: Verdict
+
+
+class RequirementsRun(SearchRun):
+    """A search for a rig that meets requirements; see SearchRun."""
+
+    def __init__(self, study: Study, log: Log | None = None, plain: bool = True) -> None:
+        """With `plain`, the plain rigs are the first trials."""
+        assert study.requirements
+        points = plain_points(study) if plain else np.full((1, int(study.free.sum())), 0.5)
+        super().__init__(study, PointsFirst(study, points) if study.free.any() else FixedPoint(), log)
+        self._requirements = study.requirements
+        self._verify_s = 0.0  # the longest time that it took
+        self._more_places: dict[int, Array] = {}  # by requirement
+        self._restarts = 0
+        self._cycles_before = 0  # of searches that were given up
+        self._next_check = 0  # evaluations
+        self._interval = CHECK_EVERY
+        self._verified: Verified | None = None  # the cheapest
+
+    @property
+    def is_verified(self) -> bool:
+        """Whether a rig was found that meets all requirements, refined places included."""
+        return self._verified is not None
+
+    @property
+    def cycles(self) -> int:
+        """Cycles so far."""
+        return self._cycles_before + super().cycles
+
+    @contextmanager
+    def evaluator(
+        self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
+    ) -> Iterator[RequirementsEvaluator]:
+        """An evaluator for one part of the run."""
+        with super().evaluator(threads, skip, on_evaluations) as one:
+            assert isinstance(one, RequirementsEvaluator)
+            yield one
+
+    def _evaluator(
+        self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
+    ) -> RequirementsEvaluator:
+        return RequirementsEvaluator(self.study, threads, skip, on_evaluations, self._more_places)
+
+    def _line(self) -> Cycle:
+        line = super()._line()
+        return RequirementsCycle(
+            cycle=self.cycles,
+            evaluations=line.evaluations,
+            best=readable(line.best),
+            mean=readable(line.mean),
+            seconds=line.seconds,
+            shortfall=0.0 if meets(line.best) else line.best,
+        )
+
+    def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
+        """Evaluate one batch of trials, and verify the best rig where that is due. Returns as SearchRun.step."""
+        told = super().step(evaluator, budget)
+        is_due = meets(self.best_cost) and self.evaluations >= self._next_check and not self.is_over(budget)
+        if is_due and time.perf_counter() + self._verify_s < budget.deadline:
+            self._check(evaluator)
+        return told
+
+    def verdict_on(self, x: Array) -> Verdict:
+        """The verdict on the rig at a point (free coordinates,), with refined places."""
+        began = time.perf_counter()
+        found = Verifier(self._requirements).verify(self.study.rig(self.study.poses(x[None])[0]).mounts)
+        self._verify_s = max(self._verify_s, time.perf_counter() - began)
+        return found
+
+    def _check(self, evaluator: TrialEvaluator) -> None:
+        """Verify the best rig; if it fails at refined places, these join and the solver starts anew from it."""
+        assert isinstance(evaluator, RequirementsEvaluator)
+        if self._verified and (self.best_x == self._verified.x).all():
+            self._schedule(self._interval)
+            return
+        found = self.verdict_on(self.best_x)
+        if found.passed:
+            self._verified = Verified(self.best_x.copy(), self.best_cost, found)
+            self._schedule(2 * self._interval)
+            return
+        self._schedule(CHECK_EVERY)
+        if not self._add_places(found):
+            return
+        evaluator.add_places(self._more_places)
+        self._restarts += 1
+        self._cycles_before = self.cycles
+        points = [self.best_x] + ([self._verified.x] if self._verified else [])
+        self._search = PointsFirst(self.study, np.array(points), self._restarts)
+        poses = self.study.poses(self.best_x[None])
+        self.best_cost = float(evaluator.costs(poses, np.zeros(1, np.int64), poses, np.full(1, np.inf))[0])
+
+    def _schedule(self, interval: int) -> None:
+        self._interval = interval
+        self._next_check = self.evaluations + interval
+
+    def _add_places(self, found: Verdict) -> bool:
+        """Have the worst places at which requirements fail count in trials, with those around. Returns if any are."""
+        added = False
+        for number, (item, one) in enumerate(zip(self._requirements.items, found.requirements, strict=True)):
+            if one.passed or not isinstance(item, ObjectRequirement) or item.at_least < 1 or one.worst is None:
+                continue
+            heading = math.radians(one.worst.heading_deg or 0.0)
+            place = np.array([[one.worst.x_m, one.worst.y_m, item.stand.ground_m, heading]])
+            around = np.concatenate([place, item.stand.around(place, FINEST_M, FINEST_RAD, set())])
+            known = self._more_places.get(number)
+            self._more_places[number] = around if known is None else np.concatenate([known, around])
+            added = True
+        return added
+
+    def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
+        """The result: the best rig; where that fails at refined places alone, the best that was verified."""
+        x = self.best_x
+        if verdict is None:
+            verdict = self.verdict_on(x) if math.isfinite(self.best_cost) else Verdict(())
+        remarks = []
+        if meets(self.best_cost) and not verdict.passed:
+            what = "the best rig met all requirements at the base grid's places, but not at those between"
+            if self._verified:
+                what += "; this one is the best that was verified"
+            else:
+                what += "; search longer, and the worst of them count"
+            remarks.append(what)
+        if self._verified and not verdict.passed:
+            x = self._verified.x
+            verdict = self._verified.verdict
+            self.best_x = x
+            self.best_cost = self._verified.cost
+        if self._restarts:
+            places = sum(len(one) for one in self._more_places.values())
+            remarks.append(f"{places} places between those of the base grid were added to it, where rigs failed")
+        found = super().placement(interrupted, _with_reasons(self.study, verdict))
+        poses = self.study.poses(x[None])[0]
+        if self.study.seeks_margin:
+            objective = verdict.least_margin
+        else:
+            objective = readable(self.best_cost) if meets(self.best_cost) else self.study.cost(poses)
+        return replace(found, objective=objective, remarks=tuple(remarks))
+
+
+def _with_reasons(study: Study, found: Verdict) -> Verdict:
+    """The verdict, which says where no rig could do better."""
+    if found.passed:
+        return found
+    why = unachievable(study)
+    out = []
+    for one in found.requirements:
+        reason = None if one.passed else one.not_achievable or why.get(one.name)
+        out.append(replace(one, not_achievable=reason))
+    return Verdict(tuple(out))

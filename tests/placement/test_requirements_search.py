@@ -1,0 +1,291 @@
+"""Searches of studies with requirements: what they find, and that what they skip changes nothing."""
+
+import math
+from itertools import combinations_with_replacement
+
+import numpy as np
+import pytest
+
+from lidarcfg.placement.achievable import unachievable
+from lidarcfg.placement.cheapest import cheapest
+from lidarcfg.placement.combinations import distinct_options, options
+from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.plain_rigs import PLAIN_MAX, plain_points
+from lidarcfg.placement.requirements_evaluator import (
+    MET_MOST,
+    RequirementsEvaluator,
+    cost_of,
+    meets,
+    readable,
+)
+from lidarcfg.placement.search_run import INFEASIBLE
+from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.placement.sweep import Processes
+from lidarcfg.requirements.requirements import Requirements
+from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.trials import RigTrials
+from lidarcfg.requirements.verify import Verifier
+
+YARD = """
+region: {{min_m: [-8, -8, 0], max_m: [8, 8, 4], cuboid_m: [1, 1, 1]}}
+vehicle: {{boxes: [{{name: body, center_m: [0, 0, 0.7], size_m: [2, 1, 1.4]}}]}}
+sensors:
+  - model: vlp-16
+    name: roof
+    count: 2
+    min: {{position_m: [-0.9, -0.45, 1.5], rpy_deg: [-15, -15, 0]}}
+    max: {{position_m: [0.9, 0.45, 2.0], rpy_deg: [15, 15, 0]}}
+requirements:
+  - name: crates ahead
+    object: {{size_m: [1, 1, 1]}}
+    within_m: [1, 3]
+    sector_deg: [-40, 40]
+    headings_deg: [0, 30]
+    returns: {returns}
+    lost: {lost}
+  - name: most of the crates
+    object: {{size_m: [0.6, 0.6, 0.6]}}
+    region: {{min_m: [-5, 1, -0.5], max_m: [5, 4, 2]}}
+    headings_deg: [0]
+    returns: 20
+    at_least: 0.9
+{more}
+solver: {{method: annealing, evaluations: 150}}
+"""
+SLIT = """
+region: {min_m: [-8, -8, 0], max_m: [8, 8, 4], cuboid_m: [1, 1, 1]}
+vehicle:
+  boxes:
+    - {name: one, center_m: [-3.5, 2.5, 1.5], size_m: [9, 0.2, 3]}
+    - {name: other, center_m: [5.7, 2.5, 1.5], size_m: [8.6, 0.2, 3]}
+sensors:
+  - model: vlp-16
+    min: {position_m: [-2, 0, 1], rpy_deg: [0, 0, 0]}
+    max: {position_m: [3, 0, 1], rpy_deg: [0, 0, 0]}
+requirements:
+  - name: behind the slit
+    object: {size_m: [0.1, 0.1, 1.5]}
+    region: {min_m: [0.9, 4.9, -0.1], max_m: [1.1, 5.1, 2]}
+    headings_deg: [0]
+    returns: 20
+solver: {evaluations: 400}
+"""
+
+
+@pytest.fixture
+def study(tmp_path):
+    def write(text, **values):
+        path = tmp_path / "study.yaml"
+        path.write_text(text.format(**values) if values else text)
+        return load_study(path)
+
+    return write
+
+
+def yard(study, returns=20, lost=0, more=""):
+    return study(YARD, returns=returns, lost=lost, more=more)
+
+
+def test_costs_are_lexicographic():
+    shortfalls = [1e-12, 1e-3, 0.5, 3.0, 1e9]
+    wanted = [0.0, 1e-6, 0.3, 7.0, 1e5]
+    met = [cost_of(0.0, one) for one in wanted]
+    unmet = [cost_of(one, 5.0) for one in shortfalls]
+    assert sorted(met + unmet) == met + unmet
+    assert unmet[-1] < INFEASIBLE
+    assert all(map(meets, met))
+    assert not any(map(meets, unmet))
+    assert [readable(one) for one in met] == wanted  # to the last bit
+
+
+def poses_of(study, count, seed=5):
+    rng = np.random.default_rng(seed)
+    return study.poses(rng.random((count, int(study.free.sum()))))
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_shortfall_is_the_definition(study, lost):
+    """Mean over places and cases of max(0, 1 − reached/demanded), from counts of each sensor at each place."""
+    one = yard(study, lost=lost)
+    judge = RigTrials(one.requirements, one.rig(one.lower).mounts)
+    poses = poses_of(one, 4)
+    for row, rig in zip(poses, judge.rigs(poses), strict=True):
+        total = 0.0
+        for item in one.requirements.items:
+            places = item.stand.base
+            counts = lowest_at(places, item.target, one.rig(row).mounts, one.requirements.site.obstacles, 10**6, 99)
+            each = counts.counts.astype(float)
+            cases = [each.sum(axis=1)] + ([each[:, 0], each[:, 1]] if item.lost else [])
+            worst = []
+            for got in cases:
+                by_position = {}
+                for place, value in zip(places.tolist(), got.tolist(), strict=True):
+                    by_position.setdefault(tuple(place[:2]) if item.at_least < 1 else tuple(place), []).append(value)
+                best = sorted((min(values) for values in by_position.values()), reverse=True)
+                best = best[: math.ceil(item.at_least * len(best) - 1e-9)]
+                worst.append(np.mean([max(0.0, 1 - value / item.returns) for value in best]))
+            total += np.mean(worst)
+        assert judge.shortfall(rig) == pytest.approx(total, rel=1e-12)
+        assert judge.shortfall(rig, total / 2) == math.inf
+        assert judge.shortfall(rig, total * 2) == judge.shortfall(rig)
+
+
+def test_base_verdict_and_search_agree(study):
+    one = yard(study, returns=3, lost=1)
+    judge = RigTrials(one.requirements, one.rig(one.lower).mounts)
+    poses = poses_of(one, 3)
+    for row, rig in zip(poses, judge.rigs(poses), strict=True):
+        verdict = Verifier(one.requirements).verify(one.rig(row).mounts)
+        for short, item in zip(judge.shortfalls(rig), verdict.requirements, strict=True):
+            assert not (short > 0 and item.passed)
+            assert short > 0 or item.shortfall < 1e-3  # at refined places alone
+
+
+MORE = """  - {name: shadow, shadow_at_most_m3: 0.4, within_m: [0, 1]}
+objective: {max_vsr: 1}
+"""
+
+
+@pytest.mark.parametrize(
+    ("more", "robust"),
+    [("", ""), (MORE, ""), ("robust: {position_sigma_m: 0.05, samples: 3, quantile: 0.6}", "draws")],
+    ids=["least margin", "objective", "draws"],
+)
+def test_skipping_and_threads_change_nothing(study, more, robust):
+    one = with_solver(yard(study, returns=4, more=more), evaluations=60 if robust else 150)
+    found = optimize(one, threads=2)
+    kept = found.log.cost < math.inf  # what was to beat was beaten
+    for other in (optimize(one, threads=1), optimize(one, threads=2, skip=False)):
+        assert (other.log.cost[kept] == found.log.cost[kept]).all()
+        assert other.rig == found.rig
+        assert other.objective == found.objective
+        assert other.verdict == found.verdict
+
+
+def test_a_resumed_search_ends_the_same(study):
+    one = yard(study, returns=4)
+    whole = optimize(with_solver(one, evaluations=160), threads=2)
+    begun = optimize(with_solver(one, evaluations=64), threads=2)
+    resumed = optimize(with_solver(one, evaluations=160), threads=2, log=begun.log)
+    assert resumed.rig == whole.rig
+    assert (resumed.log.cost == whole.log.cost).all()
+
+
+def test_no_result_is_worse_than_the_best_plain_rig(study):
+    one = yard(study)
+    points = plain_points(one)
+    assert len(points) == len(np.unique(points, axis=0)) <= PLAIN_MAX
+    poses = one.poses(points)
+    assert (poses >= one.lower - 1e-12).all()
+    assert (poses <= one.upper + 1e-12).all()
+    assert (poses[1:, :, 3:5] == 0).all()  # upright
+    with RequirementsEvaluator(one, 2) as evaluator:
+        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], np.full(len(poses), np.inf))
+    found = optimize(with_solver(one, evaluations=1), threads=2)
+    assert found.log.cost[: len(points)].tolist() == costs.tolist()
+    assert found.log.cost.min() <= costs.min()
+
+
+def test_the_search_looks_through_the_slit(study):
+    """The wall is open from x = 1 to 1.4 m at y = 2.5: the post at (1, 5) is seen from 1 < x < 1.8 at y = 0."""
+    one = study(SLIT)
+    found = optimize(one, threads=2)
+    assert found.verdict.passed
+    assert 0.9 < found.rig.mounts[0].position_m[0] < 1.9
+    with RequirementsEvaluator(one, 1) as evaluator:
+        poses = one.poses(plain_points(one))
+        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], np.full(len(poses), np.inf))
+    assert (costs > MET_MOST).all()  # no plain rig does
+
+
+CHOICE = """
+region: {min_m: [-8, -8, 0], max_m: [8, 8, 4], cuboid_m: [1, 1, 1]}
+vehicle: {boxes: [{name: body, center_m: [0, 0, 0.7], size_m: [2, 1, 1.4]}]}
+sensors:
+  - name: left
+    choose: [vlp-16, vlp-32c, none]
+    min: {position_m: [0, 0.4, 1.5], rpy_deg: [0, 0, 0]}
+    max: {position_m: [0.5, 0.4, 1.8], rpy_deg: [0, 0, 0]}
+  - name: right
+    choose: [vlp-16, vlp-32c, none]
+    min: {position_m: [0, -0.4, 1.5], rpy_deg: [0, 0, 0]}
+    max: {position_m: [0.5, -0.4, 1.8], rpy_deg: [0, 0, 0]}
+prices: {vlp-16: 4000, vlp-32c: 7000}
+requirements:
+  - name: crates ahead
+    object: {size_m: [1, 1, 1]}
+    within_m: [2, 3]
+    sector_deg: [-30, 30]
+    headings_deg: [0]
+    returns: RETURNS
+  - {name: budget, price_at_most: 13000}
+solver: {evaluations: 400}
+"""
+
+
+def test_symmetric_combinations_count_once(study):
+    """Two mirrored groups of one sensor each: multisets of two of three choices, without that of no sensor."""
+    one = study(CHOICE.replace("RETURNS", "10"))
+    assert len(options(one)) == 3**2 - 1
+    distinct = distinct_options(one)
+    assert len(distinct) == math.comb(3 + 2 - 1, 2) - 1
+    prices = [each.price for each in distinct]
+    assert prices == sorted(prices)
+    expected = [sum(pair) for pair in combinations_with_replacement((4000, 7000, 0), 2) if any(pair)]
+    assert prices == sorted(expected)
+    lopsided = study(CHOICE.replace("RETURNS", "10").replace("[-30, 30]", "[-30, 40]"))
+    assert len(distinct_options(lopsided)) == 3**2 - 1
+
+
+@pytest.mark.parametrize("returns", [300, 100_000])
+def test_the_cheapest_is_that_of_brute_force(study, returns):
+    one = study(CHOICE.replace("RETURNS", str(returns)))
+    found = cheapest(one, threads=2)
+    passing = []
+    for option in distinct_options(one):
+        each = option.combination.study
+        rigs = [optimize(with_solver(each, evaluations=150), threads=2)] if each.free.any() else []
+        if option.price <= 13000 and any(rig.verdict.passed for rig in rigs):
+            passing.append(option.price)
+    if passing:
+        assert found.meets
+        assert found.combination.price == min(passing)
+        cheaper = [tried for tried in found.tried if tried.price < min(passing)]
+        assert all(tried.evaluations > 0 and tried.shortfall > 0 and tried.failing for tried in cheaper)
+    else:
+        assert not found.meets
+        assert found.placement.verdict.shortfall > 0
+        assert [tried.too_dear for tried in found.tried].count(True) == 1  # two VLP-32C
+    assert isinstance(one.requirements, Requirements)
+
+
+def test_what_no_rig_can_meet_is_said(study):
+    """A slit closed by the far wall, a zone beyond the range, and a budget below the cheapest rig."""
+    assert unachievable(study(SLIT)) == {}
+    walled = study(
+        SLIT.replace(
+            "center_m: [5.7, 2.5, 1.5], size_m: [8.6, 0.2, 3]", "center_m: [5, 2.5, 1.5], size_m: [10, 0.2, 3]"
+        )
+    )
+    assert "hidden from all" in unachievable(walled)["behind the slit"]
+    near = study(SLIT.replace("model: vlp-16", "model: vlp-16\n    range_m: [0.5, 3]"))
+    assert "no range exceeds 3 m" in unachievable(near)["behind the slit"]
+    dear = study(CHOICE.replace("RETURNS", "10").replace("13000", "3999"))
+    assert unachievable(dear) == {"budget": "the cheapest rig costs 4,000"}
+
+
+def test_workers_find_the_same(study):
+    """Processes stand for a cluster's workers."""
+    one = study(CHOICE.replace("RETURNS", "300"))
+    alone = cheapest(one, threads=2)
+    workers = Processes(2)
+    try:
+        found = cheapest(one, workers=workers)
+    finally:
+        workers.close()
+    assert found.combination.name == alone.combination.name
+    assert found.placement.rig == alone.placement.rig
+    assert found.placement.verdict == alone.placement.verdict
+    assert [each for each in found.tried if each.price < alone.combination.price] == [
+        each for each in alone.tried if each.price < alone.combination.price
+    ]
