@@ -10,7 +10,8 @@ The paper in two calls, each a page to read:
 cuboids; `cones` says between which beams of a LiDAR a point lies; `visibility` what it does not see; `grid` compares
 the labels of neighbouring cuboids; `subspace` connects those of the same label; `metric` has their volume to surface;
 `solvers` minimise over a unit cube; `evaluator` says what many rigs cost; `search_run` is a search in progress, which
-`optimize` runs to its end; `pipeline` is that in ten lines. `evaluation` says everything of one rig. `study_file`, `slots` and `study` read a study.
+`optimize` runs to its end; `pipeline` is that in ten lines. `evaluation` says everything of one rig. `study_file`,
+`slots` and `study` read a study.
 
 Beyond the paper: `objective` has the terms that may be minimised, `zones` what weighs more, `detection`,
 `return_counts` and `blind_spots` what becomes of objects; `robustness`, `study_evaluator` and `sensitivity` what
