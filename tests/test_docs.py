@@ -177,6 +177,8 @@ def check_kind(path):
     elif path.suffix == ".bin":
         assert content
         assert len(content) % 16 == 0  # four float32 a point
+    elif b"ros__parameters" in content:
+        assert content.startswith(b"/**:")
     else:
         assert path.suffix == ".yaml", f"{path} is of a kind that no test knows"
         assert summary(path).text

@@ -64,14 +64,14 @@ def report() -> None:
 def verdict() -> None:
     """Verify the rig of the documentation's page, and photograph the beginning of the report."""
     text = (ROOT / "docs/reading-the-verdict.md").read_text()
-    with tempfile.TemporaryDirectory() as folder, chdir(folder), browser(1000, 1840) as driver:
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), browser(1000, 2080) as driver:
         Path("data").symlink_to(ROOT / "data")
         for name in ("verdict", "three"):
             Path(f"{name}.yaml").write_text(re.findall(rf"```yaml\n(# {name}.yaml\n.*?)```", text, re.DOTALL)[0])
         line = ["verify", "verdict.yaml", "three.yaml", "-o", "out", "--quiet"]
         cli.main(line, prog_name="lidarcfg", standalone_mode=False)
         driver.get((Path(folder) / "out/verdict.html").as_uri())
-        save(Image.open(BytesIO(driver.get_screenshot_as_png())).convert("RGB"), "verdict.png", 64)
+        save(Image.open(BytesIO(driver.get_screenshot_as_png())).convert("RGB"), "verdict.png", 128)
 
 
 def shot(driver: Any) -> Image.Image:

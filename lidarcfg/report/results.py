@@ -64,7 +64,6 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "skipped": {"rigs": 1, "full_evaluations": 0, "cuboids": 0, "segments": 0},
         "rig": rig_to_dict(rig),
         "study": study.file,
-        **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
     }
 
 

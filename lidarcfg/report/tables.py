@@ -61,7 +61,7 @@ def print_front(study: Study, found: "Front") -> None:
             f"{evaluation.max_vsr_m:.4f}",
             *(f"{evaluation.detection[name].rate:.4f}" for name in objects),
             point.combination.sensors,
-            f"points/{point.combination.name}",
+            f"points/{truncate(point.combination.name)}",
         )
     console = terminal()
     console.print(table)
