@@ -17,11 +17,14 @@ from lidarcfg.placement.metric import max_vsr
 from lidarcfg.placement.solvers.search import Search, Trials, checked
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
-from lidarcfg.placement.study_file import Solver
+from lidarcfg.placement.study_file import COORDINATES, Solver
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Rig
 
 INFEASIBLE = 1e6  # cost of a rig that violates the constraints, times 1 + the violation
+
+
+AT_BOUND = 1e-6  # metres and radians from it
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class Placement:
     seconds: float
     interrupted: bool
     remarks: tuple[str, ...] = ()  # what the verdict does not say of the search
+    at_bounds: tuple[str, ...] = ()  # coordinates that ended at a bound, with it
 
     @property
     def verdict(self) -> Verdict | None:
@@ -304,7 +308,19 @@ class SearchRun:
             log=log,
             seconds=log.seconds,
             interrupted=interrupted,
+            at_bounds=at_bounds(study, study.poses(self.best_x[None])[0]),
         )
+
+
+def at_bounds(study: Study, poses: Array) -> tuple[str, ...]:
+    """The coordinates of poses (slots, 6) that could vary and are at a bound: each with its sensor and the bound."""
+    found = []
+    for i, k in np.argwhere(study.free).tolist():
+        for bound, end in ((study.lower[i, k], "least"), (study.upper[i, k], "most")):
+            if abs(poses[i, k] - bound) <= AT_BOUND:
+                value = f"{math.degrees(bound):.6g}°" if k >= 3 else f"{bound:.6g} m"
+                found.append(f"{study.slots[i].name}: {COORDINATES[k]} is at its {end}, {value}")
+    return tuple(found)
 
 
 def costs(

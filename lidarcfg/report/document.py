@@ -12,7 +12,7 @@ from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation, Worst
 from lidarcfg.placement.report_inputs import ReportInputs
-from lidarcfg.placement.search_run import Placement
+from lidarcfg.placement.search_run import Placement, at_bounds
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.blind_spots import (
@@ -45,7 +45,6 @@ from lidarcfg.report.describe import (
 )
 from lidarcfg.report.html import KeyFigure, Table, render, with_baseline_figures, with_baseline_rows
 from lidarcfg.report.mounts import draw_mounts, draw_surfaces
-from lidarcfg.report.poses import poses_at_bounds
 from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
 from lidarcfg.report.text import summarize, truncate
 from lidarcfg.report.verification import verdict_part
@@ -98,7 +97,7 @@ def report(
         if details.verification
         else None,
         summary=with_baseline_figures(summary, _of_baseline(study, baseline)) if baseline else summary,
-        at_bounds=poses_at_bounds(study, rig),
+        at_bounds=_at_bounds(study, rig),
         baseline=baseline,
         baseline_yaml=yaml_text(rig_to_dict(baseline.rig)) if baseline else None,
         placement=placement,
@@ -126,6 +125,13 @@ def report(
         drawings=_drawings(study, rig, details, placement, baseline),
         **tables,
     )
+
+
+def _at_bounds(study: Study, rig: Rig) -> tuple[str, ...]:
+    """The coordinates that are at a bound; none of a rig whose sensors are not the study's."""
+    if len(rig.mounts) != len(study.slots):
+        return ()
+    return at_bounds(study, np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts]))
 
 
 def _tables(study: Study, rig: Rig, details: ReportInputs) -> dict[str, Table | None]:

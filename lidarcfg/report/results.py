@@ -28,7 +28,6 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
 from lidarcfg.report.document import Baseline, Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
-from lidarcfg.report.poses import poses_at_bounds
 from lidarcfg.report.verification import verdict_page
 from lidarcfg.requirements.evidence import Verification
 from lidarcfg.requirements.posts import PostVisibility
@@ -39,7 +38,6 @@ from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:
     """The values that `evaluate --json` prints and every result.json contains."""
     return {
-        **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
         "measure": "faces",
         "max_vsr_m": found.max_vsr_m,
         "analytic": found.analytic and asdict(found.analytic) | {"reached": found.analytic.reached},
@@ -131,7 +129,7 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
     cut = study.objective_cuts
     return evaluation_dict(study, found.rig, evaluation) | {
         "objective": found.objective if math.isfinite(found.objective) else None,
-        "at_bounds": poses_at_bounds(study, found.rig),
+        "at_bounds": list(found.at_bounds),
         **({"remarks": list(found.remarks)} if found.remarks else {}),
         "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
         "evaluations": found.evaluations,

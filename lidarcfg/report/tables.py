@@ -13,7 +13,6 @@ from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.describe import counted, describe_places, describe_returns, price
-from lidarcfg.report.poses import poses_at_bounds
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.text import MANY, summarize, terminal, truncate
 from lidarcfg.report.verdict import print_verdict
@@ -36,13 +35,15 @@ def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> N
     if study.seeks_margin:
         search.add_row("least margin", f"{found.objective:+.2%} of what is demanded")
     elif not study.is_max_vsr:
-        search.add_row("objective, optimised", f"{found.objective:.6f}")
+        search.add_row("objective", f"{found.objective:.6f}")
     search.add_row("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m")
     search.add_row("max VSR, optimised", f"{evaluation.max_vsr_m:.4f} m")
     search.add_row("evaluations", f"{found.evaluations:,}")
     search.add_row("seconds", f"{found.seconds:.1f}")
     terminal().print(search)
-    _print_rig(study, found.rig, evaluation)
+    print_evaluation(study, found.rig, evaluation, with_verdict=False)
+    for line in found.at_bounds:
+        terminal().print(line)
 
 
 def print_front(study: Study, found: "Front") -> None:
@@ -73,22 +74,16 @@ def print_front(study: Study, found: "Front") -> None:
     )
 
 
-def print_evaluation(study: Study, rig: Rig, found: Evaluation) -> None:
+def print_evaluation(study: Study, rig: Rig, found: Evaluation, with_verdict: bool = True) -> None:
     """Print the verdict, the rig, its max VSR and detection rates, and the worst subspaces."""
-    if found.verdict:
-        print_verdict(found.verdict)
-    _print_rig(study, rig, found)
-
-
-def _print_rig(study: Study, rig: Rig, found: Evaluation) -> None:
     console = terminal()
+    if found.verdict and with_verdict:
+        print_verdict(found.verdict)
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
         angles = np.degrees(mount.rpy_rad)
         poses.add_row(truncate(mount.name), *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
     console.print(poses)
-    for line in poses_at_bounds(study, rig):
-        console.print(line)
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
     if found.analytic:
         console.print(analytic_line(found.analytic))
