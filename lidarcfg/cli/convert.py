@@ -82,7 +82,8 @@ def convert(
       .json, folder                              nuScenes' tables, or carla's
       .txt, folder                               KITTI's calib
     bag:                  .yaml    rig           its /tf_static
-      .bag .mcap .db3, folder
+      .bag .mcap .db3,    .pcap    pcap          the packets a driver recorded
+      folder
     cloud:                .ply .pcd .npz         every field and exact times
       .ply .pcd .npz      .las .laz              LAS 1.4: ring, sensor, return
       .las .laz .bin      .bin     kitti         x y z reflectance, float32
@@ -118,7 +119,7 @@ def convert(
         found = formats.save_self_filter(source, output, form.name, vehicle, warnings.append)
         _say(output, found, warnings, quiet)
         return
-    if form.kind != "capture" and (rig or model or truth):
+    if form.kind != "capture" and ((rig and form.kind != "bag") or model or truth):
         raise click.UsageError("--rig, --truth and --model are for captures")
     if form.name == "firings" and (rig or truth):
         raise click.UsageError("--rig and --truth are not for firings, which are of each sensor alone")

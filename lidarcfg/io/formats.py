@@ -55,6 +55,7 @@ FORMATS = (
     Format("azimuth-windows", "rig", ".json"),
     Format("rig", "kit", ".yaml"),
     Format("rig", "bag", ".yaml"),
+    Format("pcap", "bag", ".pcap"),
     Format("ply", "cloud", ".ply"),
     Format("pcd", "cloud", ".pcd"),
     Format("npz", "cloud", ".npz"),
@@ -154,6 +155,10 @@ def convert(
         on_warning(f"{output}: {form.name} has no {form.lacks}")
     if form.kind == "rig":
         return _convert_rig(source, output, form.name, on_warning)
+    if form.kind == "bag":
+        from lidarcfg.io.packet_bag import save_packets
+
+        return f"{save_packets(output, source, load_rig(rig) if rig else None, on_warning):,} packets"
     if form.kind == "cloud":
         return _convert_cloud(source, output, form.name, on_warning)
     if "firings" in (form.name, form.kind):
