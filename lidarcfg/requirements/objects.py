@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.requirements.places import FINEST_M, FINEST_RAD, Stand
 from lidarcfg.requirements.robustness import Robust
 from lidarcfg.requirements.sensors import (
+    ALL,
     KeptCounts,
     OnPlaces,
     lowest_at,
@@ -19,13 +20,14 @@ from lidarcfg.requirements.sensors import (
     no_progress,
     poses_of,
     scanners_of,
+    united,
 )
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import ClusterRule, Lowest, Target, count_clusters
 from lidarcfg.world.obstacles import Obstacles
 
-LOWEST = 128  # places, around which others are tried
+LOWEST = 256  # places, around which others are tried
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then
@@ -53,6 +55,11 @@ class ObjectRequirement:
     def wanted(self) -> int:
         """How many sensors with more returns than matter make the others' counts needless."""
         return max(self.lost, 1) + (self.sensors or 1)
+
+    @property
+    def first_cap(self) -> int:
+        """Returns beyond which they are counted only if nothing is lower anywhere."""
+        return max(2 * self.returns, CAP_MIN)
 
 
 @dataclass(frozen=True)
@@ -104,9 +111,19 @@ class PlaceCounts:
 
     at_m: Array  # (N, 2)
     values: Counts  # (N,) in the worst case; lower bounds from the cap on
-    side_m: Array  # (N,) between neighbours there
+    side_m: Array  # (N,) of squares that cover the zone; the largest come first, as they lie below the others
     demanded: int
     cap: int
+
+
+@dataclass(frozen=True)
+class MountMargins:
+    """What an object reaches with one sensor lost, and with one coordinate of one mount off."""
+
+    demanded: int
+    without: Counts  # (mounts,) at the base grid, in the place that decides
+    off: Counts  # (mounts, 6) the least, off either way, at the base grid's lowest places
+    whole: int  # at these, with no mount off
 
 
 def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts:
@@ -117,15 +134,31 @@ def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts
     return ordered[:, lost + sensors - 1] if lost + sensors <= counts.shape[1] else np.zeros(len(counts), np.int64)
 
 
+def same_counts(one: ObjectRequirement, other: ObjectRequirement) -> bool:
+    """Whether two requirements count the returns of the same object, up to the same cap."""
+    if one.cluster_m is not None or other.cluster_m is not None or one.first_cap != other.first_cap:
+        return False
+    return all(map(np.array_equal, one.target.mesh, other.target.mesh))
+
+
 class ObjectJudge:
     """Judges rig after rig by one such requirement; what is known of sensors at their latest poses is kept."""
 
-    def __init__(self, item: ObjectRequirement, obstacles: Obstacles, robust: Robust | None = None) -> None:
+    def __init__(
+        self,
+        item: ObjectRequirement,
+        obstacles: Obstacles,
+        robust: Robust | None = None,
+        kept: KeptCounts | None = None,
+        which: NDArray[np.intp] | slice = ALL,
+    ) -> None:
+        """For a requirement; `kept`, if given, is shared, and `which` of its places are the base grid's."""
         self.item = item
         self.places = item.stand.base  # (P, 4) the base grid's
         self._obstacles = obstacles
         self._robust = robust if robust and robust.drawn else None
-        self._kept = KeptCounts(self.places, item.target, obstacles)
+        self._kept = kept or KeptCounts(self.places, item.target, obstacles)
+        self._which = which
 
     @property
     def work(self) -> int:
@@ -135,7 +168,7 @@ class ObjectJudge:
     @property
     def first_cap(self) -> int:
         """Returns beyond which they are counted only if nothing is lower anywhere."""
-        return max(2 * self.item.returns, CAP_MIN)
+        return self.item.first_cap
 
     def counts(self, mounts: Sequence[Mount]) -> PlaceCounts:
         """What a rig reaches at the base grid's positions, each at its worst heading; of one just judged, as kept."""
@@ -145,17 +178,43 @@ class ObjectJudge:
         at = found.places[worst, :2]
         side_m = np.full(len(at), stand.far_step_m)
         if stand.zone.body:
-            side_m[stand.zone.body.to_points_m(at) <= stand.near_m] = stand.near_step_m
-        return PlaceCounts(at, values, side_m, self.item.returns, self.first_cap)
+            distance_m = stand.zone.body.to_points_m(at)
+            side_m[distance_m <= stand.near_m + stand.far_step_m] *= 2  # to the edge of the finer grid
+            side_m[distance_m <= stand.near_m] = stand.near_step_m
+        order = np.argsort(-side_m, kind="stable")
+        return PlaceCounts(at[order], values[order], side_m[order], self.item.returns, self.first_cap)
+
+    def margins(self, mounts: Sequence[Mount], off_m: float, off_rad: float) -> MountMargins | None:
+        """What single failures and mounts that are off by so much leave; None for clusters, which would take long."""
+        item = self.item
+        if item.cluster_m is not None:
+            return None
+        base = self.measured(mounts, self.first_cap)
+        counts = base.lowest.counts
+        without = [
+            self._number(reached(np.delete(counts, n, axis=1), 0, item.sensors)).min() if len(mounts) > 1 else 0
+            for n in range(len(mounts))
+        ]
+        lowest = np.ascontiguousarray(base.places[_lowest(base.values)])
+        off = np.empty((len(mounts), 6), np.int64)
+        for mount, axis in product(range(len(mounts)), range(6)):
+            least = []
+            for way in (-1, 1):
+                errors = np.zeros((len(mounts), 6))
+                errors[mount, axis] = way * (off_m if axis < 3 else off_rad)
+                least.append(self.measured_at(lowest, misplaced(mounts, errors), self.first_cap).values.min())
+            off[mount, axis] = min(least)
+        return MountMargins(item.returns, np.array(without, np.int64), off, int(base.values.min()))
 
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
         item = self.item
         cap = self.first_cap
-        tried = self._tried(mounts, cap, on_places)
-        while self._worst(tried)[1] >= cap and cap < CAP_MAX:
+        base = self.measured(mounts, cap, on_places)
+        while self._worst_of_base(base)[1] >= cap and cap < CAP_MAX:
             cap *= CAP_FACTOR
-            tried = self._tried(mounts, cap, no_progress)
+            base = self.measured(mounts, cap)
+        tried = self._tried(mounts, base)
         at, value = self._worst(tried)
         counted = tried.base if item.at_least < 1 else tried.every
         found, notes = mounts, []
@@ -205,7 +264,7 @@ class ObjectJudge:
         """What a rig reaches at the base grid's places, exact below the cap."""
         if self.item.cluster_m is not None:
             return self._clusters(self.places, mounts, cap, on_places)
-        lowest = self._kept.lowest(mounts, cap, self.item.wanted, on_places)
+        lowest = self._kept.lowest(mounts, cap, self.item.wanted, on_places, self._which)
         return Measured(self.places, reached(lowest.counts, self.item.lost, self.item.sensors), lowest)
 
     def measured_at(self, places: Array, mounts: Sequence[Mount], cap: int) -> Measured:
@@ -331,10 +390,14 @@ class ObjectJudge:
                 out.append(mount.name)
         return tuple(out)
 
-    def _tried(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces) -> Tried:
-        """The base grid's counts, and those at places between, around the lowest, down to the finest spacing."""
+    def _tried(self, mounts: Sequence[Mount], base: Measured) -> Tried:
+        """The base grid's counts, and those at places between, around the lowest, down to the finest spacing.
+
+        These are exact up to the greatest of the lowest, which others only lower.
+        """
         stand = self.item.stand
-        base = every = self.measured(mounts, cap, on_places)
+        cap = max(int(base.values[_lowest(base.values)].max()) + 1, self.item.returns)
+        every = base.joined(self.measured_at(stand.edge, mounts, cap)) if len(stand.edge) else base
         seen: set[tuple[int, ...]] = set()
         step_m = stand.far_step_m
         turns = np.diff(stand.headings_rad)
@@ -367,6 +430,22 @@ class ObjectJudge:
         """With the neighbours, at these spacings, of some of the places, as far as they are new and in the zone."""
         fresh = self.item.stand.around(tried.places[centres], step_m, step_rad, seen)
         return tried.joined(self.measured_at(fresh, mounts, cap)) if len(fresh) else tried
+
+
+def object_judges(
+    items: Sequence[ObjectRequirement], obstacles: Obstacles, robust: Robust | None = None
+) -> list[ObjectJudge]:
+    """Judges of requirements; those that count the same share what is known of sensors."""
+    out: dict[int, ObjectJudge] = {}
+    for first, item in enumerate(items):
+        if first in out:
+            continue
+        alike = [n for n in range(first, len(items)) if n == first or same_counts(item, items[n])]
+        places, numbers = united([items[n].stand.base for n in alike])
+        kept = KeptCounts(places, item.target, obstacles)
+        for n, which in zip(alike, numbers, strict=True):
+            out[n] = ObjectJudge(items[n], obstacles, robust, kept, which)
+    return [out[n] for n in range(len(items))]
 
 
 def positions(places: Array, values: Counts) -> tuple[NDArray[np.intp], Counts]:

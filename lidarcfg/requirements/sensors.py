@@ -18,6 +18,7 @@ from lidarcfg.world.obstacles import Obstacles
 KEPT_BYTES = 1 << 28  # of counts, for the places of a requirement
 COUNT_BYTES = 5  # of a count and its phase
 KEPT_MIN = 64  # poses, whatever memory they take
+ALL = slice(None)
 OnPlaces = Callable[[int], None]
 
 
@@ -63,28 +64,38 @@ class Column:
 
 
 class KeptCounts:
-    """The lowest counts at an object's places, of sensors at the poses that were asked for last."""
+    """The lowest counts at an object's places, of sensors at the poses that were asked for last.
+
+    Requirements of the same object may share it, each with some of the places.
+    """
 
     def __init__(self, places: Array, target: Target, obstacles: Obstacles) -> None:
-        self.places = places
+        self.places = places  # (P, 4)
         self._target = target
         self._obstacles = obstacles
         self._known: OrderedDict[tuple[float, ...], list[Column]] = OrderedDict()
         self._most = max(KEPT_BYTES // (COUNT_BYTES * max(len(places), 1)), KEPT_MIN)
 
-    def lowest(self, mounts: Sequence[Mount], cap: int, wanted: int, on_places: OnPlaces = no_progress) -> Lowest:
-        """The mounts' lowest counts up to a cap; see count_lowest. Only what is not known is cast."""
+    def lowest(
+        self,
+        mounts: Sequence[Mount],
+        cap: int,
+        wanted: int,
+        on_places: OnPlaces = no_progress,
+        which: NDArray[np.intp] | slice = ALL,
+    ) -> Lowest:
+        """The mounts' lowest counts up to a cap, at some of the places; see count_lowest. Casts what is not known."""
         columns = [self._column(mount, cap) for mount in mounts]
         lowest = Lowest(
-            np.stack([one.counts for one in columns], axis=1), np.stack([one.phases for one in columns], axis=1)
+            np.stack([one.counts[which] for one in columns], axis=1),
+            np.stack([one.phases[which] for one in columns], axis=1),
         )
+        places = np.ascontiguousarray(self.places[which])
         scanners = scanners_of(mounts)
-        count_lowest(
-            self.places, self._target, scanners, poses_of(mounts), self._obstacles, cap, wanted, lowest, on_places
-        )
+        count_lowest(places, self._target, scanners, poses_of(mounts), self._obstacles, cap, wanted, lowest, on_places)
         for n, column in enumerate(columns):
-            column.counts = lowest.counts[:, n].copy()
-            column.phases = lowest.phases[:, n].copy()
+            column.counts[which] = lowest.counts[:, n]
+            column.phases[which] = lowest.phases[:, n]
         return lowest
 
     def _column(self, mount: Mount, cap: int) -> Column:
@@ -115,3 +126,15 @@ def lowest_at(
     lowest = Lowest(np.full(shape, -1, np.int32), np.zeros(shape, np.int8))
     count_lowest(places, target, scanners_of(mounts), poses_of(mounts), obstacles, cap, wanted, lowest)
     return lowest
+
+
+def united(groups: Sequence[Array]) -> tuple[Array, list[NDArray[np.intp]]]:
+    """(P, 4) the places of groups (n, 4), each once, and for each group (n,) their numbers among these."""
+    places = np.concatenate(groups)
+    order = np.lexsort(places.T[::-1])
+    ordered = places[order]
+    new = np.ones(len(ordered), np.bool_)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    number = np.empty(len(ordered), np.intp)
+    number[order] = np.cumsum(new) - 1
+    return ordered[new], np.split(number, np.cumsum([len(group) for group in groups])[:-1])

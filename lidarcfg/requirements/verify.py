@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement
+from lidarcfg.requirements.objects import ObjectRequirement, object_judges
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.verdict import Verdict
@@ -22,9 +22,10 @@ class Verifier:
     def __init__(self, requirements: Requirements) -> None:
         self.requirements = requirements
         site = requirements.site
+        objects = [item for item in requirements.items if isinstance(item, ObjectRequirement)]
+        judges = iter(object_judges(objects, site.obstacles, requirements.robust))
         self.judges = tuple(
-            ObjectJudge(item, site.obstacles, requirements.robust) if isinstance(item, ObjectRequirement) else item
-            for item in requirements.items
+            next(judges) if isinstance(item, ObjectRequirement) else item for item in requirements.items
         )
 
     def verify(self, mounts: Sequence[Mount], on_progress: OnProgress = silent) -> Verdict:

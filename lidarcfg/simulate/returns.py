@@ -177,23 +177,27 @@ def returns(
 
     object_shape = target.shape
 
-    def run(part: NDArray[np.int64]) -> None:
-        core.returns.count_returns(places, part, scanners, poses.R, poses.t, object_shape, obstacles, counts)
+    def run(part: slice, every: NDArray[np.int64]) -> None:
+        some = places[part]
+        core.returns.count_returns(some, every, scanners, poses.R, poses.t, object_shape, obstacles, counts[part])
 
     _in_parts(len(places), run, threads, on_places)
     return Returned(counts, phases)
 
 
 def _in_parts(
-    places: int, run: Callable[[NDArray[np.int64]], None], threads: int | None, on_places: Callable[[int], None]
+    places: int,
+    run: Callable[[slice, NDArray[np.int64]], None],
+    threads: int | None,
+    on_places: Callable[[int], None],
 ) -> None:
-    """Have threads run some of the places at a time, by their numbers."""
-    count = max(-(-places // PLACES_PER_PART), 1)
-    parts = [np.arange(first, places, count) for first in range(count)]
+    """Have threads run successive places at a time: where they are among all, and their numbers among themselves."""
+    parts = [slice(first, min(first + PLACES_PER_PART, places)) for first in range(0, places, PLACES_PER_PART)]
+    numbers = [np.arange(part.stop - part.start) for part in parts]
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         try:
-            for part, _ in zip(parts, pool.map(run, parts), strict=True):
-                on_places(len(part))
+            for every, _ in zip(numbers, pool.map(run, parts, numbers), strict=True):
+                on_places(len(every))
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -222,9 +226,11 @@ def count_lowest(
     """
     shape = target.shape
 
-    def run(part: NDArray[np.int64]) -> None:
+    def run(part: slice, every: NDArray[np.int64]) -> None:
+        counts = lowest.counts[part]
+        phases = lowest.phases[part]
         core.returns.count_lowest(
-            places, part, scanners, poses.R, poses.t, shape, obstacles, cap, wanted, lowest.counts, lowest.phases
+            places[part], every, scanners, poses.R, poses.t, shape, obstacles, cap, wanted, counts, phases
         )
 
     _in_parts(len(places), run, None, on_places)
@@ -260,9 +266,22 @@ def count_clusters(
     phases = np.zeros((len(places), len(scanners)), np.int8)
     shape = target.shape
 
-    def run(part: NDArray[np.int64]) -> None:
+    def run(part: slice, every: NDArray[np.int64]) -> None:
         core.returns.count_clusters(
-            places, part, scanners, poses.R, poses.t, shape, obstacles, *rule, lost, sensors, joint, cap, counts, phases
+            places[part],
+            every,
+            scanners,
+            poses.R,
+            poses.t,
+            shape,
+            obstacles,
+            *rule,
+            lost,
+            sensors,
+            joint,
+            cap,
+            counts[part],
+            phases[part],
         )
 
     _in_parts(len(places), run, None, on_places)

@@ -64,7 +64,8 @@ struct LowestCounts {
   Rows<std::int8_t> phases;   // (places, sensors) the phase, where there are fewer than `cap`
 };
 
-/// Write those that are unknown at some places, the nearest sensors' first, until `wanted` sensors have `cap`.
+/// Write those that are unknown at some places, until `wanted` sensors have `cap`. The nearest sensors come first, but
+/// last those that did not have it at the place before, if that is near.
 void count_lowest(View<const Place> places, View<const std::int64_t> which, View<const Scanner* const> scanners,
                   View<const SensorPose> poses, const TargetShape& target, const Obstacles& obstacles, std::int32_t cap,
                   Index wanted, const LowestCounts& lowest);
