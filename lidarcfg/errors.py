@@ -1,9 +1,11 @@
 """The user's mistakes: each error is one line that says where, what, and what is allowed."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
 MESSAGE_MAX = 200  # characters of a library's message
+MANY = 50  # errors of a file that are told; of more, the number
 
 
 def one_line(text: str) -> str:
@@ -38,10 +40,28 @@ class LidarcfgError(Exception):
 class ConfigError(LidarcfgError):
     """A sensor, rig, study or scene file contains something that is not allowed.
 
-    If the error is at a key, `at` holds the file's name, the key, and what is wrong with it.
+    If the error is at a key, `at` holds the file's name, the key, and what is wrong with it. `others` are errors that
+    were found with it; as text, each has a line.
     """
 
     at: tuple[str, tuple[str | int, ...], str] | None = None
+    others: "tuple[ConfigError, ...]" = ()
+
+    def __str__(self) -> str:
+        return "\n".join([super().__str__(), *map(str, self.others)])
+
+    @classmethod
+    def all_of(cls, errors: "Sequence[ConfigError]") -> "ConfigError":
+        """The first of some errors, with the others."""
+        flat = [one for error in errors for one in (error, *error.others)]
+        first = flat[0]
+        rest = flat[1:MANY]
+        for one in flat:
+            one.others = ()
+        if len(flat) > MANY:
+            rest.append(cls(f"and {len(flat) - MANY:,} more mistakes"))
+        first.others = tuple(rest)
+        return first
 
     def of(self, name: str) -> "ConfigError":
         """The error with the name of the sensor in front, unless it names a place in a file already."""

@@ -181,8 +181,8 @@ def outcome(name, text, folder):
 
 
 def one_line(said):
-    """Whether something is said, and in a line."""
-    return bool(said) and "\n" not in said
+    """Whether something is said: one mistake a line."""
+    return bool(said) and all(line.strip() for line in said.split("\n"))
 
 
 def value_at(document, key):

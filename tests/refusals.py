@@ -1,22 +1,21 @@
-"""What is refused: an error of one line that says where, and what."""
+"""What is refused: an error, of one line for each mistake, that says where, and what."""
 
 import re
 from contextlib import contextmanager
 
 import pytest
 
-from lidarcfg.errors import LidarcfgError
+from lidarcfg.errors import LidarcfgError, one_line
 
 
 @contextmanager
 def refused(message, at="", kind=LidarcfgError):
-    """What is done within ends in an error of one line that has the message in it, and a match of `at`."""
+    """What is done within ends in an error that has the message in one of its lines, and a match of `at`."""
     with pytest.raises(kind) as caught:
         yield
-    line = str(caught.value)
-    assert message in line
-    assert re.search(at, line), line
-    assert "\n" not in line
+    lines = str(caught.value).split("\n")
+    assert any(message in line and re.search(at, line) for line in lines), lines
+    assert all(line == one_line(line) for line in lines)
 
 
 def exchanged(text, old, new):

@@ -48,7 +48,7 @@ def code() -> str:
     How fast rigs are evaluated is no part of it, nor are comments and docstrings.
     """
     placement, said = ROOT / "lidarcfg/placement", hashlib.sha256()
-    for file in (*sorted(placement.glob("solvers/*.py")), placement / "attitudes.py", placement / "optimize.py"):
+    for file in (*sorted(placement.glob("solvers/*.py")), placement / "slots.py", placement / "search_run.py"):
         tree = ast.parse(file.read_bytes())
         for node in ast.walk(tree):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node):

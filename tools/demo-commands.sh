@@ -2,13 +2,13 @@
 # Usage: source tools/demo-commands.sh BIN OUT   (the folder of lidarcfg and python; where the results go)
 bin=$1
 out=$2
-study=data/studies/sedan.yaml
+study=data/studies/sedan-requirements.yaml
 scene=data/scenes/street.yaml
 
 rm -rf "$out"
 mkdir -p "$out"
-say "1/4 placing four VLP-16 on a saloon whose body blocks their beams, for a short budget"
-"$bin/lidarcfg" optimize "$study" -o "$out" --evaluations 4000 >"$out/optimize.txt"
+say "1/4 placing four VLP-16 on a saloon whose body blocks their beams, until pedestrians and children around it are seen"
+"$bin/lidarcfg" optimize "$study" -o "$out" --evaluations 60 >"$out/optimize.txt"
 say "2/4 one second of what they send, the body with them, standing in $scene"
 "$bin/lidarcfg" export "$out/rig.yaml" --scene "$scene" --at=0,-1.8,0 --duration 1 -o "$out/capture.pcap"
 say "3/4 decoding it and merging the clouds by the rig's poses"
@@ -31,6 +31,11 @@ from lidarcfg.clouds.cloud import load_cloud
 out = Path(sys.argv[1])
 result = json.loads((out / "result.json").read_text())
 table = Table(box=SIMPLE, show_header=False)
+required = result["verdict"]["requirements"]
+met = sum(one["pass"] for one in required)
+table.add_row("PASS" if result["verdict"]["pass"] else "FAIL", f"{met} of {len(required)} requirements met")
+for one in required:
+    table.add_row(one["name"], f"{one['reached']} of {one['demanded']} {one['unit']}")
 table.add_row("max VSR, rig at the midpoint of the bounds", f"{result['midpoint_max_vsr_m']:.4f} m")
 table.add_row("max VSR, optimised rig", f"{result['max_vsr_m']:.4f} m")
 table.add_row("evaluations", f"{result['evaluations']:,}")

@@ -1,6 +1,6 @@
-"""Photograph the report and the page in a browser: docs/report.png, docs/view.png, docs/view-drive.png.
+"""Photograph reports and the page in a browser: docs/report.png, verdict.png, view.png and view-drive.png.
 
-Usage: .venv/bin/python tools/draw_screens.py report|view
+Usage: .venv/bin/python tools/draw_screens.py report|verdict|view
 """
 
 import re
@@ -61,6 +61,19 @@ def report() -> None:
     save(Image.fromarray(np.concatenate(parts, axis=1)), "report.png", 64)
 
 
+def verdict() -> None:
+    """Verify the rig of the documentation's page, and photograph the beginning of the report."""
+    text = (ROOT / "docs/reading-the-verdict.md").read_text()
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), browser(1000, 2080) as driver:
+        Path("data").symlink_to(ROOT / "data")
+        for name in ("verdict", "three"):
+            Path(f"{name}.yaml").write_text(re.findall(rf"```yaml\n(# {name}.yaml\n.*?)```", text, re.DOTALL)[0])
+        line = ["verify", "verdict.yaml", "three.yaml", "-o", "out", "--quiet"]
+        cli.main(line, prog_name="lidarcfg", standalone_mode=False)
+        driver.get((Path(folder) / "out/verdict.html").as_uri())
+        save(Image.open(BytesIO(driver.get_screenshot_as_png())).convert("RGB"), "verdict.png", 128)
+
+
 def shot(driver: Any) -> Image.Image:
     """What the browser shows."""
     settled(driver)
@@ -100,4 +113,4 @@ def view() -> None:
 
 
 if __name__ == "__main__":
-    {"report": report, "view": view}[sys.argv[1]]()
+    {"report": report, "verdict": verdict, "view": view}[sys.argv[1]]()

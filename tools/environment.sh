@@ -1,5 +1,5 @@
-# Sourced by tools/demo and tools/test: goes to the project's folder and makes .venv there, or reuses it.
-# Usage: source tools/environment.sh "" | test
+# Sourced by tools/demo and tools/test, with the extra to install: goes to the project's folder and makes .venv there, or reuses it.
+# Usage: source tools/environment.sh convert | test
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 unset PYTHONPATH PYTHONHOME VIRTUAL_ENV

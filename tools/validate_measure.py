@@ -30,7 +30,7 @@ from lidarcfg.packets.families import pattern
 from lidarcfg.placement.analytic import level
 from lidarcfg.placement.blind_spots import AZIMUTHS, fraction_below
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.detection import DetectionObject, detection_by_distance
+from lidarcfg.placement.detection import DetectionObject, detection_by_distance, from_point
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import Study, load_study, with_solver
@@ -145,7 +145,7 @@ def paper_undetected(study: Study, paper: Subspaces, name: str, size_m: Array) -
     """(rings,) 1 − the paper's detection rate of an object's bounding box on the ground; NaN without a place."""
     x, y, z = size_m.tolist()
     item = DetectionObject(name=name, size_m=(x, y, z), on_ground=True)
-    out: Array = 1 - detection_by_distance(paper, item, study.reference_m, EDGES_M).rate
+    out: Array = 1 - detection_by_distance(paper, item, from_point(study.reference_m), EDGES_M).rate
     return out
 
 

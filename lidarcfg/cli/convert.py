@@ -1,4 +1,4 @@
-"""lidarcfg convert: rigs, clouds and captures in the formats of other tools."""
+"""lidarcfg convert: rigs, clouds and captures in the formats of other tools, and rigs from these."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import click
 import cloup
 
-from lidarcfg.cli.options import FILE, load_trajectory, model_option, nanoseconds, quiet_option, warn
+from lidarcfg.cli.completion import complete_model
+from lidarcfg.cli.options import FILE, load_trajectory, nanoseconds, quiet_option, warn
 
 if TYPE_CHECKING:
     from lidarcfg.simulate.tasks import Drive
@@ -17,12 +18,13 @@ if TYPE_CHECKING:
     \b
     Examples:
       lidarcfg convert out/two/rig.yaml -o out/two.urdf
+      lidarcfg convert out/two.urdf -o out/again.yaml
       lidarcfg convert out/two.ply -o out/two.laz
       lidarcfg convert out/two.pcap --rig out/two/rig.yaml -o out/two.mcap
       lidarcfg convert out/two.pcap -o out/two-firings.npz
     """
 )
-@cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a cloud or a capture.")
+@cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a kit, a bag, a cloud or a capture.")
 @cloup.option("-o", "--output", type=FILE, required=True, help="The file or folder to write; its suffix is the format.")
 @cloup.option("--to", "name", metavar="FORMAT", help="The format, if the suffix does not name it.")
 @cloup.option(
@@ -34,15 +36,37 @@ if TYPE_CHECKING:
     metavar="NPZ",
     help="Also write each point's object, from the ground truth that export --truth wrote.",
 )
-@model_option
+@cloup.option(
+    "--model",
+    "models",
+    multiple=True,
+    metavar="[NAME=]MODEL",
+    shell_complete=complete_model,
+    help="What a kit's frame NAME is, or all that are not guessed: a model, a YAML file, or none. Of a capture: the "
+    "model, whatever the packets say. May be repeated.",
+)
+@cloup.option(
+    "--vehicle",
+    type=FILE,
+    help="The body that crop-box and azimuth-windows cut away: YAML, or a mesh.  [default: the rig's]",
+)
+@cloup.option("--scene", metavar="NAME", help="The scene of nuScenes' tables whose sensors are read.")
 @quiet_option
 def convert(
-    source: Path, output: Path, name: str | None, rig: Path | None, truth: Path | None, model: str | None, quiet: bool
+    source: Path,
+    output: Path,
+    name: str | None,
+    rig: Path | None,
+    truth: Path | None,
+    models: tuple[str, ...],
+    vehicle: Path | None,
+    scene: str | None,
+    quiet: bool,
 ) -> None:
-    """Convert a rig, a cloud or a capture for another tool.
+    """Convert rigs, clouds and captures; import rigs.
 
-    Anything that the format cannot hold is a warning on stderr. If the manifest of an exported capture is beside it,
-    bags also hold the vehicle's poses and the boxes of objects.
+    Another tool's kit of sensors becomes a rig. Anything that the format cannot hold is a warning on stderr. If the
+    manifest of an exported capture is beside it, bags also hold the vehicle's poses and the boxes of objects.
 
     \b
     INPUT                 OUTPUT   FORMAT
@@ -50,6 +74,16 @@ def convert(
       .yaml .yml .json    .py      launch        ROS 2 static transforms
                           .json    carla         poses, attributes for CARLA
                           folder   nuscenes      a folder of two JSON tables
+                          .yaml    crop-box      the body's box, for Autoware
+                          .json    azimuth-windows  views that miss the body
+    kit of sensors:       .yaml    rig           the LiDARs of the kit
+      .urdf .xacro .xml                          URDF, after xacro
+      .yaml .yml, folder                         Autoware's calibration files
+      .json, folder                              nuScenes' tables, or carla's
+      .txt, folder                               KITTI's calib
+    bag:                  .yaml    rig           its /tf_static
+      .bag .mcap .db3,    .pcap    pcap          the packets a driver recorded
+      folder
     cloud:                .ply .pcd .npz         every field and exact times
       .ply .pcd .npz      .las .laz              LAS 1.4: ring, sensor, return
       .las .laz .bin      .bin     kitti         x y z reflectance, float32
@@ -69,14 +103,29 @@ def convert(
     from lidarcfg.io import formats
 
     form = formats.choose_format(source, output, name)
-    if form.kind != "capture" and (rig or model or truth):
+    warnings: list[str] = []
+    if vehicle and form.name not in formats.SELF_FILTERS:
+        raise click.UsageError(f"--vehicle is for --to {' and --to '.join(formats.SELF_FILTERS)}")
+    if form.name == formats.RIG:
+        if rig or truth:
+            raise click.UsageError("--rig and --truth are for captures")
+        found = formats.import_rig(source, output, _by_name(models), scene, warnings.append)
+        _say(output, found, warnings, quiet)
+        return
+    if scene:
+        raise click.UsageError("--scene is for nuScenes' tables, which become a rig")
+    model = _single(models)
+    if form.name in formats.SELF_FILTERS and not (rig or truth or model):
+        found = formats.save_self_filter(source, output, form.name, vehicle, warnings.append)
+        _say(output, found, warnings, quiet)
+        return
+    if form.kind != "capture" and ((rig and form.kind != "bag") or model or truth):
         raise click.UsageError("--rig, --truth and --model are for captures")
     if form.name == "firings" and (rig or truth):
         raise click.UsageError("--rig and --truth are not for firings, which are of each sensor alone")
     if rig and (truth or form.name in formats.FOLDERS):
         what = "--truth goes" if truth else f"{form.name} goes"
         raise click.UsageError(f"{what} by the manifest beside an exported capture, which names the rig; remove --rig")
-    warnings: list[str] = []
     drive = None if rig or form.kind != "capture" or form.name == "firings" else _drive(source, form.name, truth)
     if drive:
         from lidarcfg.io.drive_dataset import load_drive
@@ -85,10 +134,32 @@ def convert(
         found = str(formats.save_dataset(output, form, made, False, warnings.append))
     else:
         found = formats.convert(source, output, form, rig, model, warnings.append)
+    _say(output, found, warnings, quiet)
+
+
+def _say(output: Path, found: str, warnings: list[str], quiet: bool) -> None:
     if not quiet:
         for text in warnings:
             warn(text)
         click.echo(f"{output}: {found}")
+
+
+def _by_name(models: tuple[str, ...]) -> dict[str, str]:
+    """The models of a kit's frames by name; that without a name, under the empty one, is for all others."""
+    found: dict[str, str] = {}
+    for text in models:
+        name, equals, model = text.rpartition("=")
+        if name in found or not model or (equals and not name):
+            raise click.BadParameter(f"{text!r} is not NAME=MODEL, once for each NAME", param_hint="--model")
+        found[name] = model
+    return found
+
+
+def _single(models: tuple[str, ...]) -> str | None:
+    """The model of a capture's sensors."""
+    if len(models) > 1:
+        raise click.UsageError("--model is given once for a capture; a rig says which sensor is which")
+    return models[0] if models else None
 
 
 def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":

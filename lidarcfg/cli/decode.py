@@ -30,7 +30,7 @@ if TYPE_CHECKING:
       lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply
     """
 )
-@cloup.argument("pcap", type=FILE, help="A capture, simulated or recorded.")
+@cloup.argument("pcap", type=FILE, help="A capture, simulated or recorded; or a bag of packets.")
 @cloup.option("-o", "--output", type=FILE, required=True, help="The .ply, .pcd or .npz to write.")
 @cloup.option_group(
     "Sensors",
@@ -82,12 +82,14 @@ def decode(
     Each point is in the vehicle frame of the moment it was measured; with --deskew or --trajectory, all points are in
     the world frame.
     """
+    from contextlib import ExitStack
     from dataclasses import replace
 
     from lidarcfg.capture.decode import decode_pcap
     from lidarcfg.capture.manifest import load_manifest, rig_file
     from lidarcfg.capture.selection import Selection
     from lidarcfg.clouds.cloud import concatenate, save_clouds
+    from lidarcfg.io.bag_reader import is_bag
     from lidarcfg.sensors.rig import load_rig
 
     if deskew:
@@ -108,17 +110,22 @@ def decode(
     selection = Selection(from_s, to_s, sensors)
     on_stats = sources.append if stats else None
     mounted = load_rig(rig) if rig else None
-    clouds = decode_pcap(pcap, warn, mounted, model, on_stats=on_stats, selection=selection)
-    if truth and mounted:
-        from lidarcfg.capture.objects import with_objects
+    with ExitStack() as stack:
+        if is_bag(pcap):
+            from lidarcfg.io.packet_bag import packets_of
 
-        clouds = iter([with_objects(truth, concatenate(list(clouds)), mounted)])
-    if trajectory or deskew:
-        from lidarcfg.simulate.tasks import START_NS
+            pcap = stack.enter_context(packets_of(pcap, mounted, warn))
+        clouds = decode_pcap(pcap, warn, mounted, model, on_stats=on_stats, selection=selection)
+        if truth and mounted:
+            from lidarcfg.capture.objects import with_objects
 
-        moved = load_trajectory(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)
-        clouds = (replace(cloud, xyz=moved.world(cloud.xyz, cloud.time_ns)) for cloud in clouds)
-    count = save_clouds(output, clouds)
+            clouds = iter([with_objects(truth, concatenate(list(clouds)), mounted)])
+        if trajectory or deskew:
+            from lidarcfg.simulate.tasks import START_NS
+
+            moved = load_trajectory(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)
+            clouds = (replace(cloud, xyz=moved.world(cloud.xyz, cloud.time_ns)) for cloud in clouds)
+        count = save_clouds(output, clouds)
     if not quiet:
         click.echo(f"{output}: {count:,} points")
     for source in sources:

@@ -78,10 +78,7 @@ def evaluate(
         on_progress(0.0, f"evaluating {rig}")
         found = evaluation(loaded, mounted, tolerance, on_progress=lambda done: on_progress(done, f"evaluating {rig}"))
         shown = report_inputs(loaded, mounted, found) if output or beside else None
-        if shown:
-            found = shown.evaluation
-        else:
-            found = replace(found, robustness=robustness(loaded, mounted))
+        found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
         if output and shown:
             commands = Commands(command_line(), command_line())
             save_evaluation(loaded, mounted, shown, output, commands, beside)
@@ -90,7 +87,7 @@ def evaluate(
         values |= {"baseline": baseline_dict(loaded, beside)} if beside else {}
         click.echo(to_json(values))
     elif not quiet:
-        print_evaluation(mounted, found)
+        print_evaluation(loaded, mounted, found)
         if shown and beside:
             print_comparison(loaded, with_baseline(mounted, rig, shown, beside))
 

@@ -13,7 +13,7 @@ from lidarcfg.cli.options import (
     FILE,
     START,
     START_HELP,
-    PositiveNumber,
+    Seconds,
     load_trajectory,
     nanoseconds,
     quiet_option,
@@ -68,7 +68,7 @@ if TYPE_CHECKING:
         help="For every sensor: strongest, last, first or dual; Hesai's sensors also allow first-last, first-strongest "
         "and two-strongest.  [default: the rig's]",
     ),
-    cloup.option("--duration", type=PositiveNumber(86_400), metavar="SECONDS", required=True, help="Simulated time."),
+    cloup.option("--duration", type=Seconds(86_400), metavar="SECONDS", required=True, help="Simulated time."),
 )
 @cloup.option_group(
     "Output",

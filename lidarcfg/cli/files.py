@@ -65,7 +65,8 @@ def validate(files: tuple[Path, ...], quiet: bool) -> None:
         try:
             found = summary(file)
         except LidarcfgError as error:
-            click.echo(f"lidarcfg: {error}", err=True)
+            for line in str(error).split("\n"):
+                click.echo(f"lidarcfg: {line}", err=True)
             failed = True
             continue
         for message in found.warnings:

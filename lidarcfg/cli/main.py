@@ -28,6 +28,17 @@ from lidarcfg.errors import ConfigError, LidarcfgError, one_line, reason
 from lidarcfg.inputs import LIBRARIES_BYTES, check_memory, is_out_of_memory, out_of_memory
 
 OBJECTS_BETWEEN_COLLECTIONS = 200_000  # at 700 a tenth of a start is spent on garbage, of which imports make little
+MEANT = {  # what other programs call our options
+    "--time": ("--seconds", "--duration"),
+    "--timeout": ("--seconds",),
+    "--budget": ("--seconds", "--evaluations"),
+    "--length": ("--duration",),
+    "--out": ("--output",),
+    "--rate": ("--speed",),
+    "--format": ("--to",),
+    "--jobs": ("--threads", "--workers"),
+    "--cores": ("--threads", "--workers"),
+}
 EPOCH_DIGITS = 11  # of the seconds since 1970, to the year 5138
 
 
@@ -70,12 +81,15 @@ def _run(interrupts: Interrupts) -> int:
 
 
 def _fail(message: str) -> int:
-    click.echo(f"lidarcfg: {one_line(message)}", err=True)
+    for line in message.split("\n"):
+        click.echo(f"lidarcfg: {one_line(line)}", err=True)
     return 2
 
 
 def _format_error(error: Exception, doing: str) -> str:
     """Formats an error for the terminal; re-raises bugs."""
+    if isinstance(error, click.NoSuchOption) and (meant := _meant(error)):
+        error = click.UsageError(f"No such option {error.option_name!r}. Did you mean {' or '.join(meant)}?", error.ctx)
     if isinstance(error, click.ClickException):
         return f"{' '.join(error.format_message().split())} (see {_command_path(error)} --help)"
     if isinstance(error, LidarcfgError):
@@ -87,6 +101,12 @@ def _format_error(error: Exception, doing: str) -> str:
     if isinstance(error, ImportError) and ".so" in str(error):
         return f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)"
     raise error
+
+
+def _meant(error: click.NoSuchOption) -> list[str]:
+    """The command's options that other programs call so."""
+    known = {option for one in error.ctx.command.params for option in one.opts} if error.ctx else set[str]()
+    return [one for one in MEANT.get(error.option_name, ()) if one in known]
 
 
 def _check_environment() -> None:

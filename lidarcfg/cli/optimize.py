@@ -12,7 +12,7 @@ from lidarcfg.cli.evaluate import OnProgress, baseline_of, baseline_option
 from lidarcfg.cli.options import (
     FILE,
     SAVE_EVERY_S,
-    PositiveNumber,
+    Seconds,
     command_line,
     quiet_option,
     warn,
@@ -68,7 +68,7 @@ QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on th
     "Budget",
     cloup.option("--cycles", type=click.IntRange(1), metavar="N", help="Stop after N cycles of the swarm."),
     cloup.option("--evaluations", type=click.IntRange(1), metavar="N", help="Stop after N evaluated rigs."),
-    cloup.option("--seconds", type=PositiveNumber(10**9), metavar="SECONDS", help="Stop after this time."),
+    cloup.option("--seconds", type=Seconds(10**9), metavar="SECONDS", help="Stop after this time."),
     help="These replace the study's budget.",
 )
 @cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for the results.  [default: out/STUDY]")
@@ -88,7 +88,7 @@ def optimize(
     baseline: Path | None,
     quiet: bool,
 ) -> None:
-    """Find the poses that meet the requirements, or that minimise the largest unseen subspace.
+    """Find the poses that meet requirements, or minimise max VSR.
 
     If the study has requirements, the rig meets them if one is found that does; then its objective is as small as can
     be, or without an objective the least margin as large. The plain rigs that an engineer would try come first. Exits
@@ -104,6 +104,7 @@ def optimize(
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
+        from lidarcfg.placement.achievable import unachievable
         from lidarcfg.placement.checks import study_warnings
         from lidarcfg.placement.study import load_study, with_solver
         from lidarcfg.report.comparison import with_baseline
@@ -114,6 +115,7 @@ def optimize(
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
         messages = list(study_warnings(study, loaded))
+        messages += [f"{study}: {name}: not achievable: {why}" for name, why in unachievable(loaded).items()]
     warn_of(loaded.vehicle)
     for message in messages:
         warn(message)

@@ -1,6 +1,7 @@
 """What the commands share: option types, options, warnings, and values parsed from text."""
 
 import math
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 FILE = click.Path(path_type=Path)
+UNITS_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "": 1.0}
+SECONDS = re.compile(rf"(.*?)\s*({'|'.join(sorted(UNITS_S, key=len, reverse=True))})")
 SAVE_EVERY_S = 5.0  # between two saves of a running search
 START = "2026-01-01T00:00:00"
 START_HELP = f"ISO 8601; UTC unless it names a zone.  [default: {START}]"
@@ -60,6 +63,34 @@ class Factor(PositiveNumber):
         return super().convert(value.rstrip("xX×") if isinstance(value, str) else value, param, ctx)
 
 
+class Seconds(click.FloatRange):
+    """A time in seconds, or with a unit: 1, 1s, 500 ms, 2 min."""
+
+    name = "seconds"
+
+    def __init__(self, most: float = math.inf, signed: bool = False) -> None:
+        super().__init__()
+        self._most = most
+        self._signed = signed  # zero, negative and infinite ones too
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The seconds, or click's error."""
+        if not isinstance(value, str):
+            return float(value)
+        found = SECONDS.fullmatch(value.strip().lower())
+        try:
+            seconds = float(found[1]) * UNITS_S[found[2]] if found else math.nan
+        except ValueError:
+            seconds = math.nan
+        if math.isnan(seconds):
+            units = " ".join(filter(None, UNITS_S))
+            self.fail(f"{value!r} is not a time; allowed: seconds, or a number and a unit: {units}", param, ctx)
+        if not self._signed and not 0 < seconds <= self._most:
+            limit = f", at most {self._most:,.0f} seconds" if math.isfinite(self._most) else ""
+            self.fail(f"{value!r} is not allowed; allowed: above zero{limit}", param, ctx)
+        return seconds
+
+
 model_option = cloup.option(
     "--model",
     metavar="MODEL",
@@ -69,7 +100,7 @@ model_option = cloup.option(
 from_option = cloup.option(
     "--from",
     "from_s",
-    type=float,
+    type=Seconds(signed=True),
     default=0.0,
     metavar="SECONDS",
     help="Start this long after the first packet.  [default: 0]",
@@ -77,7 +108,7 @@ from_option = cloup.option(
 to_option = cloup.option(
     "--to",
     "to_s",
-    type=float,
+    type=Seconds(signed=True),
     default=math.inf,
     metavar="SECONDS",
     help="Stop this long after the first packet.  [default: the end]",

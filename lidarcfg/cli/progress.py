@@ -147,6 +147,7 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
     def on_progress(fraction: float, text: str) -> None:
         nonlocal task
         interrupts.check(text)
+        fraction = min(fraction, 1.0)  # a budget of time is overrun by what is under way
         bar = screen.bar()
         if task is None:
             task = bar.add_task("", total=1.0, left="")
@@ -194,6 +195,7 @@ def _lines(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[C
     def on_progress(fraction: float, text: str) -> None:
         nonlocal last, shown_s
         interrupts.check(text)
+        fraction = min(fraction, 1.0)
         last = f"{fraction:4.0%}  {one_line(text)}"
         now = time.monotonic()
         left = _left(pace, fraction)

@@ -10,9 +10,18 @@ import cloup
 from lidarcfg.cli.options import FILE, Factor, from_option, quiet_option, to_option, warn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from lidarcfg.capture.pcap import Datagram
+
+
+def _say_sources(sources: "Mapping[str, str]") -> None:
+    """Print from which address each sensor's datagrams came, and warn of those without one of their own."""
+    for host, address in sources.items():
+        if address:
+            click.echo(f"{host} sent from {address}")
+    if without := [host for host, address in sources.items() if not address]:
+        warn(f"{', '.join(without)}: not addresses of this machine, so their datagrams came from its own")
 
 
 @cloup.command(
@@ -34,7 +43,8 @@ if TYPE_CHECKING:
 def replay(pcap: Path, target: str, speed: float, loop: bool, from_s: float, to_s: float, quiet: bool) -> None:
     """Send a capture's datagrams to a host, to test a driver live.
 
-    The datagrams keep the pace of the recording, times --speed.
+    The datagrams keep the pace of the recording, times --speed. Each sensor's come from its own address if this machine
+    has that; to 127.0.0.1 on Linux from 127.168.1.201 for 192.168.1.201.
     """
     from lidarcfg.capture.replay import read_selected, repeat
     from lidarcfg.capture.replay import replay as send
@@ -52,5 +62,7 @@ def replay(pcap: Path, target: str, speed: float, loop: bool, from_s: float, to_
     if not quiet:
         late = f"at most {sent.latest_s * 1000:.1f} ms late"
         click.echo(f"{sent.packets:,} datagrams to {target} in {sent.seconds:.2f} s, {late}")
+        if len(sent.sources) > 1:
+            _say_sources(sent.sources)
     if sent.interrupted and not loop:
         sys.exit(130)

@@ -147,9 +147,13 @@ class Document:
         """Line and column of `key`, or of the nearest key above it that the file has."""
         if other := self._other(key):
             return other[0].place(other[1])
+        return self.places.get(self.nearest(key), (1, 1))
+
+    def nearest(self, key: Key) -> Key:
+        """The key, or the nearest above it that the file has."""
         while key and key not in self.places:
             key = key[:-1]
-        return self.places.get(key, (1, 1))
+        return key
 
     def at(self, key: Key) -> Any:
         """The value at `key`. Raises LookupError."""

@@ -4,14 +4,14 @@ Unknown keys, missing keys, values of a wrong type and values outside their limi
 """
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, SerializationInfo, ValidationError
-from pydantic_core import PydanticCustomError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from lidarcfg.config.document import Document, Key, document, key_text, read_text
 from lidarcfg.config.kinds import OTHERS, kind_of
@@ -88,6 +88,22 @@ def validation_error(what: str, *at: str | int) -> PydanticCustomError:
     return PydanticCustomError("fault", "{what}", {"what": what, "at": at})
 
 
+def with_faults(faults: Sequence[PydanticCustomError], data: Any, handler: Callable[[Any], M]) -> M:
+    """A model's wrap validator: the faults that it found itself, together with those of the model's fields."""
+    details = [InitErrorDetails(type=fault, input=data) for fault in faults]
+    try:
+        made = handler(data)
+    except ValidationError as error:
+        for item in error.errors(include_url=False):
+            context = item.get("ctx", {})
+            kind = validation_error(context["what"], *context["at"]) if item["type"] == "fault" else item["type"]
+            details.append(InitErrorDetails(type=kind, loc=item["loc"], input=item["input"], ctx=context))
+    else:
+        if not details:
+            return made
+    raise ValidationError.from_exception_data("", details)
+
+
 def check_names(names: Iterable[str], what: str, *at: str | int) -> None:
     """A model's validator: each name stands once in the list `at`."""
     seen: set[str] = set()
@@ -152,7 +168,7 @@ def errors_at(path: str | Path, *key: str | int) -> Iterator[None]:
     try:
         yield
     except LidarcfgError as error:
-        raise error_at(path, key, error) from None
+        raise error_at(path, key, "; ".join(str(error).splitlines())) from None
 
 
 @dataclass(frozen=True)
@@ -168,14 +184,16 @@ class Section:
         try:
             return model.model_validate(dict(self.values))
         except ValidationError as error:
-            raise self._placed(_first_error(self._document(), error, model, self.at)) from None
+            raise self._placed(_all_errors(self._document(), error, model, self.at)) from None
 
     def error(self, key: Key, what: object) -> ConfigError:
         """The error `what` at a key of the section."""
         return self._placed(self._document().error((*self.at, *key), str(what)))
 
     def _placed(self, error: ConfigError) -> ConfigError:
-        return error if self.path else ConfigError(str(error).removeprefix(":1:1: "))
+        if self.path:
+            return error
+        return ConfigError.all_of([ConfigError(line.removeprefix(":1:1: ")) for line in str(error).split("\n")])
 
     def _document(self) -> Document:
         try:
@@ -197,13 +215,13 @@ def checked(document: Document, model: type[M]) -> M:
         found = kind_of(document.value)
         if model.kind and found and found != model.kind:
             raise document.error((), f"this is a {found}; a {model.kind} belongs here") from None
-        raise _first_error(document, error, model) from None
+        raise _all_errors(document, error, model) from None
     except (OverflowError, RecursionError) as error:
         raise ConfigError(f"{document.name}:1:1: {error}") from None
 
 
-def _first_error(document: Document, error: ValidationError, model: type[Model], above: Key = ()) -> ConfigError:
-    """The first error in the file, with a count of the others; `above` is the model's key in it."""
+def _all_errors(document: Document, error: ValidationError, model: type[Model], above: Key = ()) -> ConfigError:
+    """The errors in the file, by their places, those of missing keys last; `above` is the model's key in it."""
     errors = error.errors(include_url=False)
     keys = [_key(item) for item in errors]
     # pydantic also calls a list too short if one of its items is wrong: report the item only
@@ -213,8 +231,22 @@ def _first_error(document: Document, error: ValidationError, model: type[Model],
         if item["type"] != "too_short" or not any(len(k) > len(key) and k[: len(key)] == key for k in keys)
     ]
     items.sort(key=lambda item: (item["type"] == "missing", document.place((*above, *_key(item)))))
-    more = f" (and {len(items) - 1} more)" if len(items) > 1 else ""
-    return document.error((*above, *_key(items[0])), _message(items[0], model) + more)
+    found: dict[Key, ConfigError] = {}
+    for item in items:
+        key = (*above, *_key(item))
+        there = document.nearest(key)
+        # of the alternatives that a value may be, each has an error there: report the first
+        missing = item["type"] == "missing"
+        where = key if missing and there not in found else there or key
+        if where not in found and not (missing and _is_misspelled(key, found)):
+            found[where] = document.error(key, _message(item, model))
+    return ConfigError.all_of(list(found.values()))
+
+
+def _is_misspelled(missing: Key, found: Mapping[Key, ConfigError]) -> bool:
+    """Whether the error of an unknown key beside a missing one says that the missing one is meant."""
+    beside = (error.at[2] for key, error in found.items() if key[:-1] == missing[:-1] and error.at)
+    return any(f"did you mean {missing[-1]}?" in what or f"unit; allowed: {missing[-1]}" in what for what in beside)
 
 
 def _key(item: Any) -> Key:

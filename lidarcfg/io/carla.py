@@ -13,6 +13,7 @@ import numpy as np
 
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.sensors.sensor import catalogue
 
 EVEN_DEG = 0.05  # beams further than that from CARLA's even spacing get a warning
 
@@ -28,6 +29,7 @@ def carla(rig: Rig, on_warning: Callable[[str], None]) -> str:
             {
                 "type": "sensor.lidar.ray_cast",
                 "id": mount.name,
+                **({"model": mount.model} if mount.model in catalogue() else {}),  # for reading it back
                 **{key: value + 0.0 for key, value in place.items()},  # no minus zeros
                 "attributes": _attributes(mount, on_warning),
             }

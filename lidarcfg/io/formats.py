@@ -1,6 +1,6 @@
 """The formats, what converts to what, and the conversion."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -8,16 +8,20 @@ from typing import TYPE_CHECKING, Literal
 from lidarcfg.clouds.cloud import PointCloud, load_cloud, save_clouds
 from lidarcfg.errors import ConversionError
 from lidarcfg.files import replacing, replacing_folder
-from lidarcfg.sensors.rig import load_rig
+from lidarcfg.io.bag_reader import SUFFIXES, is_bag
+from lidarcfg.io.kits import urdf as urdf_kit
+from lidarcfg.sensors.rig import load_rig, save_rig
 
 if TYPE_CHECKING:
     from lidarcfg.io.drive_dataset import DriveDataset
 
-Kind = Literal["rig", "cloud", "capture", "firings", "drive"]
+Kind = Literal["rig", "kit", "bag", "cloud", "capture", "firings", "drive"]
 OnWarning = Callable[[str], None]
 
 INPUTS: dict[Kind, tuple[str, ...]] = {
     "rig": (".yaml", ".yml", ".json"),
+    "kit": (*urdf_kit.SUFFIXES, ".yaml", ".yml", ".json", ".txt"),
+    "bag": SUFFIXES,
     "cloud": (".ply", ".pcd", ".npz", ".las", ".laz", ".bin"),
     "capture": (".pcap", ".pcapng"),
 }
@@ -33,6 +37,9 @@ class Format:
     lacks: str = ""  # what the input has and this format cannot hold
 
 
+SELF_FILTERS = ("crop-box", "azimuth-windows")  # of a vehicle's body
+RIG = "rig"  # what kits and bags convert to
+RIG_SUFFIXES = (".yaml", ".yml")
 POSES_ALONE = "beams, network, speed or return mode"
 DATASETS = {  # folders of drives, and what they cannot hold
     "kitti-odometry": "ring, time of each point or return type",
@@ -44,6 +51,11 @@ FORMATS = (
     Format("launch", "rig", ".py", POSES_ALONE),
     Format("carla", "rig", ".json", "firing order, network or return mode"),
     Format("nuscenes", "rig", "", POSES_ALONE),
+    Format("crop-box", "rig", ".yaml"),
+    Format("azimuth-windows", "rig", ".json"),
+    Format("rig", "kit", ".yaml"),
+    Format("rig", "bag", ".yaml"),
+    Format("pcap", "bag", ".pcap"),
     Format("ply", "cloud", ".ply"),
     Format("pcd", "cloud", ".pcd"),
     Format("npz", "cloud", ".npz"),
@@ -78,7 +90,7 @@ STORAGES = {"rosbag1": "ros1", "rosbag2": "sqlite3", "rosbag2-mcap": "mcap"}
 
 def choose_format(source: Path, output: Path, name: str | None) -> Format:
     """The format called `name`, or the first with OUTPUT's suffix. Raises ConversionError."""
-    return format_of(_kind_of(source), output, name)
+    return format_of(_kind_of(source, output, name), output, name)
 
 
 def format_of(kind: Kind, output: Path, name: str | None) -> Format:
@@ -87,15 +99,15 @@ def format_of(kind: Kind, output: Path, name: str | None) -> Format:
     if name:
         for form in formats:
             if form.name == name:
-                if form.suffix and output.suffix.lower() != form.suffix:
+                if form.suffix and _suffix(output) != form.suffix:
                     raise ConversionError(f"{output}: does not end in {form.suffix}, as {name} does")
                 return form
         raise ConversionError(f"{_failed(kind)} {name}; allowed: {', '.join(form.name for form in formats)}")
     for form in formats:
-        if form.suffix == output.suffix.lower():
+        if form.suffix == _suffix(output) and form.name not in SELF_FILTERS:
             return form
-    allowed = ", ".join(form.suffix for form in formats if form.suffix)
-    folder = "" if kind == "cloud" else ", or a folder, which has no suffix"
+    allowed = ", ".join(form.suffix for form in formats if form.suffix and form.name not in SELF_FILTERS)
+    folder = ", or a folder, which has no suffix" if any(not form.suffix for form in formats) else ""
     hint = "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
     if kind == "drive":
         allowed = f".pcap, {allowed}"
@@ -104,11 +116,22 @@ def format_of(kind: Kind, output: Path, name: str | None) -> Format:
     raise ConversionError(what)
 
 
+def _suffix(output: Path) -> str:
+    suffix = output.suffix.lower()
+    return RIG_SUFFIXES[0] if suffix in RIG_SUFFIXES else suffix
+
+
 def _failed(kind: Kind) -> str:
     return "an export is not written as" if kind == "drive" else f"a {kind} does not convert to"
 
 
-def _kind_of(source: Path) -> Kind:
+def _kind_of(source: Path, output: Path, name: str | None) -> Kind:
+    if is_bag(source):
+        return "bag"
+    if source.suffix.lower() in urdf_kit.SUFFIXES or source.is_dir() or name == RIG:
+        return "kit"
+    if output.suffix.lower() in RIG_SUFFIXES and source.suffix.lower() in INPUTS["kit"] and name is None:
+        return "kit"
     if source.suffix.lower() == ".npz":
         from lidarcfg.io.firings import is_firings
 
@@ -117,7 +140,7 @@ def _kind_of(source: Path) -> Kind:
         if source.suffix.lower() in suffixes:
             return kind
     allowed = "; ".join(f"{kind}: {' '.join(suffixes)}" for kind, suffixes in INPUTS.items())
-    raise ConversionError(f"{source}: not a rig, a cloud or a capture by its suffix; {allowed}")
+    raise ConversionError(f"{source}: not a rig, a kit, a bag, a cloud or a capture by its suffix; {allowed}")
 
 
 def convert(
@@ -132,6 +155,10 @@ def convert(
         on_warning(f"{output}: {form.name} has no {form.lacks}")
     if form.kind == "rig":
         return _convert_rig(source, output, form.name, on_warning)
+    if form.kind == "bag":
+        from lidarcfg.io.packet_bag import save_packets
+
+        return f"{save_packets(output, source, load_rig(rig) if rig else None, on_warning):,} packets"
     if form.kind == "cloud":
         return _convert_cloud(source, output, form.name, on_warning)
     if "firings" in (form.name, form.kind):
@@ -155,6 +182,35 @@ class Amount:
 
     def __str__(self) -> str:
         return f"{self.count:,} {self.what}"
+
+
+def save_self_filter(source: Path, output: Path, name: str, vehicle: Path | None, on_warning: OnWarning) -> str:
+    """Write what cuts the body of a rig's vehicle, or of another, away; whole or not at all. Raises LidarcfgError."""
+    from lidarcfg.io.self_filter import azimuth_windows, crop_box
+    from lidarcfg.world.vehicle import resolve_vehicle
+
+    rig = load_rig(source)
+    bodies = resolve_vehicle(rig, vehicle)
+    if bodies is None:
+        raise ConversionError(f"{source}: has no vehicle, whose body {name} cuts away; --vehicle gives one")
+    text = crop_box(bodies) if name == "crop-box" else azimuth_windows(rig, bodies, on_warning)
+    with replacing(output) as file:
+        file.write(text)
+    return "1 box" if name == "crop-box" else f"{len(rig.mounts):,} sensors"
+
+
+def import_rig(source: Path, output: Path, models: Mapping[str, str], scene: str | None, on_warning: OnWarning) -> str:
+    """Write the rig of a kit, whole or not at all, and return what it holds.
+
+    `models` says what the kit's frames are, as `rig_of_kit` has it; `scene` which of nuScenes'. `on_warning` gets what
+    was guessed and what was left out. Raises LidarcfgError.
+    """
+    from lidarcfg.io.kits.kit import rig_of_kit
+    from lidarcfg.io.kits.readers import read_kit
+
+    rig = rig_of_kit(read_kit(source, models, scene), models, on_warning)
+    save_rig(rig, output)
+    return f"{len(rig.mounts):,} sensors"
 
 
 def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bool, on_warning: OnWarning) -> Amount:

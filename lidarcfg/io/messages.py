@@ -38,14 +38,26 @@ VISION_1 = BOX | {
     ),
     "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
 }
+# Raw packets as drivers of LiDARs record them, for bags that do not describe their own types.
+STAMP = "builtin_interfaces/Time stamp"
+DRIVERS = {
+    "velodyne_msgs/msg/VelodynePacket": f"{STAMP}\nuint8[1206] data",
+    "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    "pandar_msgs/msg/PandarPacket": f"{STAMP}\nuint8[1500] data\nuint32 size",
+    "pandar_msgs/msg/PandarScan": "std_msgs/Header header\npandar_msgs/PandarPacket[] packets",
+    "nebula_msgs/msg/NebulaPacket": f"{STAMP}\nuint8[] data",
+    "nebula_msgs/msg/NebulaPackets": "std_msgs/Header header\nnebula_msgs/NebulaPacket[] packets",
+    "ouster_msgs/msg/PacketMsg": "uint8[] buf",
+    "ouster_sensor_msgs/msg/PacketMsg": "uint8[] buf",
+}
 
 
 def ros_store(version: int) -> Any:
-    """The message types of ROS 1 (Noetic) or 2 (Humble), those of detections too."""
+    """The message types of ROS 1 (Noetic) or 2 (Humble), those of detections and of drivers' packets too."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
-    texts = TRANSFORMS | VISION_1 if version == 1 else VISION_2
+    texts = DRIVERS | (TRANSFORMS | VISION_1 if version == 1 else VISION_2)
     store.register({key: kind for name, text in texts.items() for key, kind in get_types_from_msg(text, name).items()})
     return store
 

@@ -1,4 +1,4 @@
-"""URDF: a link for the vehicle, and one with a fixed joint per sensor."""
+"""URDF: a link for the vehicle, and one with a fixed joint per sensor, whose visual is named after the model."""
 
 import re
 from collections.abc import Callable
@@ -19,7 +19,8 @@ def urdf(rig: Rig, on_warning: Callable[[str], None]) -> str:
     for mount in rig.mounts:
         name = names[mount.name]
         link = ElementTree.SubElement(robot, "link", name=name)
-        geometry = ElementTree.SubElement(ElementTree.SubElement(link, "visual"), "geometry")
+        visual = ElementTree.SubElement(link, "visual", name=NOT_XML.sub("_", mount.sensor.name))
+        geometry = ElementTree.SubElement(visual, "geometry")
         ElementTree.SubElement(geometry, "cylinder", CYLINDER)
         joint = ElementTree.SubElement(robot, "joint", name=f"{name}_joint", type="fixed")
         ElementTree.SubElement(joint, "parent", link=BASE_LINK)

@@ -37,12 +37,19 @@ class Combination:
     price: float
     study: Study
     groups: tuple[int, ...]  # of the whole study, by slot
+    group_names: tuple[str, ...]  # of the whole study
 
     @property
     def sensors(self) -> str:
-        """The number of sensors of each model."""
-        counts = Counter(slot.sensor.name for slot in self.study.slots)
-        return ", ".join(f"{count} × {model}" for model, count in counts.items())
+        """The number of sensors of each model; of each group, if the whole study has several."""
+        parts = []
+        for i, name in enumerate(self.group_names):
+            slots = [slot for slot, group in zip(self.study.slots, self.groups, strict=True) if group == i]
+            counts = Counter(slot.sensor.name for slot in slots)
+            text = ", ".join(f"{count} × {model}" for model, count in counts.items())
+            if text:
+                parts.append(f"{name}: {text}" if len(self.group_names) > 1 else text)
+        return "; ".join(parts)
 
 
 @dataclass(frozen=True)
@@ -168,7 +175,8 @@ def _combination(
     used = {values["model"] for values in files}
     prices = {model: each for model, each in study.file["prices"].items() if model in used}
     file = study.file | {"sensors": files, "prices": prices}
-    return Combination(name, price, replace(study.chosen(numbers, slots, file), name=name), tuple(members))
+    names = tuple(_group_name(group, i) for i, group in enumerate(groups))
+    return Combination(name, price, replace(study.chosen(numbers, slots, file), name=name), tuple(members), names)
 
 
 def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -> str:
@@ -178,8 +186,12 @@ def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -
         counts = Counter(choice.sensor.name for choice in part if choice)
         each = [f"{count * group.together}x{_plain(model)}" for model, count in counts.items()]
         if each:
-            parts.append("-".join([str(group.values.get("name", f"sensors{i}")), *each]))
+            parts.append("-".join([_group_name(group, i), *each]))
     return "_".join(parts)[:FOLDER_MAX]
+
+
+def _group_name(group: _Group, index: int) -> str:
+    return str(group.values.get("name", f"sensors{index}"))
 
 
 def _plain(name: str) -> str:

@@ -1,7 +1,7 @@
 """Object detection rate: the fraction of places where an object touches enough subspaces (paper, II-C)."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
@@ -20,6 +20,7 @@ from lidarcfg.world.mesh_source import MeshSource
 
 Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
+Distances = Callable[[Array], Array]  # (P,) along the ground to an object at places (P, 4): x, y, z, heading
 Heading = Annotated[float, Field(ge=0, le=360)]
 
 THRESHOLD = 1  # unless the study says otherwise
@@ -125,7 +126,7 @@ class Counted(NamedTuple):
 
 @dataclass(frozen=True)
 class Rings:
-    """How often an object is detected, by the horizontal distance of its centre from a point."""
+    """How often an object is detected, by its horizontal distance."""
 
     edges_m: Array  # (n + 1,) ascending; a ring holds its inner edge
     detected: Counts | Array  # (n,) of those detected by returns, the sum of the probabilities
@@ -236,11 +237,11 @@ def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], lim
 def detection_by_distance(
     subspaces: Subspaces,
     item: DetectionObject,
-    middle_m: Array,
+    distances: Distances,
     edges_m: Array,
     counted: Counted | None = None,
 ) -> Rings:
-    """The places of `detection`, by the distance of the object's middle from `middle_m` (2,), along the ground.
+    """The places of `detection`, by their distances along the ground.
 
     Places beyond the last of `edges_m` are in no ring. counted: the result of `counted_places`, if known.
     """
@@ -250,7 +251,7 @@ def detection_by_distance(
     region = subspaces.region
     if item.samples:
         for box in drawn_boxes(region, item.box_m, item.on_ground, item.samples):
-            at = ring(box[:, 0], box[:, 1], middle_m, edges_m)
+            at = ring(distances(box), edges_m)
             for i in range(n):
                 met = _detected_boxes(subspaces, item, box[at == i])
                 detected[i] += met[0]
@@ -259,15 +260,21 @@ def detection_by_distance(
     found, free, _ = counted or counted_places(subspaces, item)
     size = cuboids_needed(item.box_m, region.cuboid_m)
     x, y = (region.min_m[a] + (np.arange(free.shape[a]) + size[a] / 2) * region.cuboid_m[a] for a in (0, 1))
-    at = ring(x[:, None], y[None, :], middle_m, edges_m)
+    columns = np.broadcast_arrays(x[:, None], y, region.min_m[2], 0.0)
+    at = ring(distances(np.stack(columns, axis=-1).reshape(-1, 4)), edges_m).reshape(free.shape)
     np.add.at(detected, at[at < n], found[at < n])
     np.add.at(places, at[at < n], free[at < n])
     return Rings(edges_m, detected, places)
 
 
-def ring(x_m: Array, y_m: Array, middle_m: Array, edges_m: Array) -> Counts:
-    """The ring of each point; for points in no ring, the number of rings."""
-    ring = np.searchsorted(edges_m, np.hypot(x_m - middle_m[0], y_m - middle_m[1]), side="right") - 1
+def from_point(point_m: Array) -> Distances:
+    """Distances of the middles of objects from a point (2,)."""
+    return lambda places: np.hypot(places[:, 0] - point_m[0], places[:, 1] - point_m[1])
+
+
+def ring(distance_m: Array, edges_m: Array) -> Counts:
+    """The ring of each distance; for those in no ring, the number of rings."""
+    ring = np.searchsorted(edges_m, distance_m, side="right") - 1
     return np.where(ring < 0, len(edges_m) - 1, ring)
 
 
@@ -335,12 +342,12 @@ class GapFit:
     in_worst: bool  # whether it fits into the subspace of the largest VSR
     subspaces: int  # into how many it fits
     largest_vsr_m: float | None  # of these; None where there are none
-    nearest_m: float | None  # from the vehicle to the middle of the nearest place, along the ground
+    nearest_m: float | None  # the distance of the nearest place, along the ground
     nearest_at_m: tuple[float, float] | None  # that place
 
 
 def gap_fit(
-    subspaces: Subspaces, vsr_m: Array, item: DetectionObject, vehicle_m: Array, counted: Counted | None = None
+    subspaces: Subspaces, vsr_m: Array, item: DetectionObject, distances: Distances, counted: Counted | None = None
 ) -> GapFit | None:
     """Where a box fits into a single subspace, at its two headings along the axes; None for a mesh.
 
@@ -361,11 +368,13 @@ def gap_fit(
             counted = boxes_counted(subspaces, size, 1 if on_ground else subspaces.region.shape[2])
         found |= set(np.flatnonzero(counted.held).tolist())
         corner = np.argwhere(counted.detected < counted.places)
-        places.append(subspaces.region.min_m[:2] + (corner + np.array(size[:2]) / 2) * subspaces.region.cuboid_m[:2])
+        at = subspaces.region.min_m[:2] + (corner + np.array(size[:2]) / 2) * subspaces.region.cuboid_m[:2]
+        heading_rad = 0.0 if size_m == item.size_m else math.pi / 2
+        places.append(np.column_stack([at, np.full((len(at), 2), (subspaces.region.min_m[2], heading_rad))]))
     if not found:
         return GapFit(item.size_m, on_ground, False, 0, None, None, None)
     at = np.concatenate(places)
-    far = np.hypot(*(at - vehicle_m).T)
+    far = distances(at)
     nearest = int(np.argmin(far))
     return GapFit(
         item.size_m,

@@ -19,6 +19,7 @@ from lidarcfg.placement.sensitivity import Robustness
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
 from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
+from lidarcfg.requirements.posts import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig, load_rig
@@ -61,6 +62,7 @@ class Evaluation:
     analytic: Analytic | None  # if a tolerance was asked for
     seconds: float
     robustness: Robustness | None = None  # where it was asked for, and is cheap
+    posts: tuple[PostVisibility, ...] = ()  # where posts of HEIGHTS_M are seen, where that was asked for and is known
     verdict: Verdict | None = None  # of a study with requirements
 
     @property

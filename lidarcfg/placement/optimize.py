@@ -34,7 +34,9 @@ def optimize(
     """
     study = loaded(study, load_study, Study)
     if study.to_choose:
-        instead = "`cheapest` finds the cheapest rig" if study.requirements else "`front` finds each price's best rig"
+        instead = "`front` searches for the best rig of each price"
+        if study.requirements:
+            instead = "`cheapest` searches for the cheapest rig that meets the requirements"
         raise ConfigError(f"the study has models to choose; {instead}")
     dimensions = int(study.free.sum())
     if dimensions == 0:

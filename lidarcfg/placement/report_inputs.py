@@ -1,6 +1,7 @@
 """What a report shows of a rig beyond its evaluation: error bar, coverage, detection by position and distance."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -8,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import core
+from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import analytic
+from lidarcfg.placement.blind_spots import HEIGHTS_M
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, GapFit, Rings, detection_by_distance, gap_fit
 from lidarcfg.placement.evaluation import Evaluation
@@ -18,7 +21,8 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.sensitivity import robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces
-from lidarcfg.requirements.evidence import Verification, verification
+from lidarcfg.requirements.evidence import Verification, evidence
+from lidarcfg.requirements.posts import PostPlaces, PostVisibility, post_visibility
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig
 
@@ -111,7 +115,7 @@ class ReportInputs:
     volume_m3: Array  # (n,) by subspace
     sphere_m: float  # radius of the largest sphere inside any subspace
     coverage: Coverage
-    vehicle_m: Array  # (2,) the origin of distances
+    vehicle_m: Array  # (2,) the reference point
     rings: dict[str, Rings]  # by object
     detection_maps: dict[str, DetectionMap]  # by object without `samples`
     gap_fits: dict[str, GapFit]  # by object that is a box
@@ -141,12 +145,15 @@ def report_inputs(
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
     found = replace(found, robustness=robustness(study, rig))
-    verified = verification(Verifier(study.requirements), rig.mounts) if study.requirements else None
-    if verified:
-        found = replace(found, verdict=verified.verdict)
+    verified = None
+    if study.requirements and found.verdict:
+        shown = evidence(Verifier(study.requirements), rig.mounts, found.verdict)
+        verified = Verification(found.verdict, shown)
+    found = replace(found, posts=_posts(study, rig))
     subspaces = found.subspaces
     vehicle = study.reference_m
-    edges = ring_edges_m(study.region, vehicle)
+    edges = ring_edges_m(study.region, study.body.to_points_m if study.body else _from(vehicle))
+    distances = {item.name: study.distances(item) for item in study.detection}
     return ReportInputs(
         evaluation=found,
         midpoint_max_vsr_m=midpoint_max_vsr_m,
@@ -155,16 +162,17 @@ def report_inputs(
         coverage=coverage(subspaces),
         vehicle_m=vehicle,
         rings={
-            item.name: found.return_counts[item.name].rings(vehicle, edges)
+            item.name: found.return_counts[item.name].rings(distances[item.name], edges)
             if item.returns
-            else detection_by_distance(subspaces, item, vehicle, edges, found.counted.get(item.name))
+            else detection_by_distance(subspaces, item, distances[item.name], edges, found.counted.get(item.name))
             for item in study.detection
         },
         detection_maps={item.name: detection_map(found, item) for item in study.detection if not item.samples},
         gap_fits={
             item.name: fit
             for item in study.detection
-            if (fit := gap_fit(subspaces, found.vsr_m, item, vehicle, found.counted.get(item.name))) is not None
+            if (fit := gap_fit(subspaces, found.vsr_m, item, distances[item.name], found.counted.get(item.name)))
+            is not None
         },
         verification=verified,
     )
@@ -185,10 +193,30 @@ def detection_map(found: Evaluation, item: DetectionObject) -> DetectionMap:
     return DetectionMap(detected, count, low, low + detected.shape * region.cuboid_m[:2])
 
 
-def ring_edges_m(region: Region, centre_m: Array) -> Array:
-    """Edges of at most RINGS_MAX rings about a point that cover the region; their width is 1, 2 or 5 × 10ⁿ."""
+def _posts(study: Study, rig: Rig) -> tuple[PostVisibility, ...]:
+    """Where posts of some heights are seen around the vehicle; none if there is no vehicle, or sensors lack facts."""
+    if study.body is None:
+        return ()
+    obstacles = study.obstacles
+    ground_m = obstacles.ground_m if math.isfinite(obstacles.ground_m) else float(study.region.min_m[2])
+    posts = PostPlaces.around(study.body, ground_m)
+    try:
+        return tuple(post_visibility(posts, height_m, rig.mounts, obstacles) for height_m in HEIGHTS_M)
+    except ConfigError:  # a sensor's file lacks facts
+        return ()
+
+
+def _from(point_m: Array) -> Callable[[Array], Array]:
+    return lambda points: np.hypot(*(points - point_m).T)
+
+
+def ring_edges_m(region: Region, distances: Callable[[Array], Array]) -> Array:
+    """Edges of at most RINGS_MAX rings that cover the region, by the distances of points (P, 2).
+
+    Their width is 1, 2 or 5 × 10ⁿ.
+    """
     corners = [(x, y) for x in (region.min_m[0], region.max_m[0]) for y in (region.min_m[1], region.max_m[1])]
-    far = max(float(np.hypot(*(corner - centre_m))) for corner in np.array(corners))
+    far = float(distances(np.array(corners)).max())
     power = 10.0 ** math.floor(math.log10(far / RINGS_MAX))
     width = next(step * power for step in (*RING_M, 10) if RINGS_MAX * step * power > far)
     return np.arange(math.floor(far / width) + 2) * np.float64(width)

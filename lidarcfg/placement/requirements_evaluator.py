@@ -113,7 +113,8 @@ class RequirementsEvaluator:
         began = time.perf_counter()
         limits = upper_bound if self._skip else np.full(len(poses), np.inf)
         rigs = self._judge.rigs(poses)
-        cost = np.array(list(self._pool.map(self._cost, rigs, limits.tolist())), np.float64)
+        run = map if self._threads == 1 else self._pool.map
+        cost = np.array(list(run(self._cost, rigs, limits.tolist())), np.float64)
         if self._objective:
             met = np.flatnonzero(cost < MET_MOST)
             bound = limits[met]

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lidarcfg.geometry import Array
+from lidarcfg.placement.achievable import unachievable
 from lidarcfg.placement.plain_rigs import plain_points
 from lidarcfg.placement.requirements_evaluator import RequirementsEvaluator, meets, readable
 from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator
@@ -225,10 +226,22 @@ class RequirementsRun(SearchRun):
         if self._restarts:
             places = sum(len(one) for one in self._more_places.values())
             remarks.append(f"{places} places between those of the base grid were added to it, where rigs failed")
-        found = super().placement(interrupted, verdict)
+        found = super().placement(interrupted, _with_reasons(self.study, verdict))
         poses = self.study.poses(x[None])[0]
         if self.study.seeks_margin:
             objective = verdict.least_margin
         else:
             objective = readable(self.best_cost) if meets(self.best_cost) else self.study.cost(poses)
         return replace(found, objective=objective, remarks=tuple(remarks))
+
+
+def _with_reasons(study: Study, found: Verdict) -> Verdict:
+    """The verdict, which says where no rig could do better."""
+    if found.passed:
+        return found
+    why = unachievable(study)
+    out = []
+    for one in found.requirements:
+        reason = None if one.passed else one.not_achievable or why.get(one.name)
+        out.append(replace(one, not_achievable=reason))
+    return Verdict(tuple(out))

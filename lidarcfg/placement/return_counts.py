@@ -17,6 +17,7 @@ from lidarcfg.placement.detection import (
     Counts,
     Detection,
     DetectionObject,
+    Distances,
     Returns,
     Rings,
     check_fits,
@@ -83,9 +84,9 @@ class ReturnCounts:
         rate, half_width = mean_of(rates, len(missed))
         return Detection(rate, len(missed), half_width, found)
 
-    def rings(self, middle_m: Array, edges_m: Array) -> Rings:
-        """Its places by their distance from a point; see `detection_by_distance`."""
-        at = ring(self.target.places[:, 0], self.target.places[:, 1], middle_m, edges_m)
+    def rings(self, distances: Distances, edges_m: Array) -> Rings:
+        """Its places by their distances along the ground."""
+        at = ring(distances(self.target.places), edges_m)
         n = len(edges_m) - 1
         detected = np.bincount(at, self.probability, n + 1)[:n]
         return Rings(edges_m, detected, np.bincount(at, minlength=n + 1)[:n])

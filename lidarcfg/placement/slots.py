@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.config.models import NAME_MAX, error_at
+from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar, sensor_lidar
 from lidarcfg.placement.study_file import NONE, GroupFile, StudyFile
@@ -51,6 +52,7 @@ def choices_of(file: StudyFile, path: Path) -> list[Choices]:
         return [() for _ in file.sensors]
     prices = file.prices or {}
     found = []
+    errors: list[ConfigError] = []
     for i, group in enumerate(file.sensors):
         choices: list[Choice | None] = []
         for n, name in enumerate(group.choose or (group.model or "",)):
@@ -58,11 +60,17 @@ def choices_of(file: StudyFile, path: Path) -> list[Choices]:
                 choices.append(None)
                 continue
             at = ("choose", n) if group.choose else ()
-            sensor, model = resolve_sensor(path, i, name, None, *at)
+            try:
+                sensor, model = resolve_sensor(path, i, name, None, *at)
+            except ConfigError as error:
+                errors.append(error)
+                continue
             if sensor in [choice.sensor for choice in choices if choice]:
                 raise error_at(path, ("sensors", i, *at), f"{name!r} is a choice already under another name")
             choices.append(Choice(model or name, sensor, prices[name]))
         found.append(tuple(choices))
+    if errors:
+        raise ConfigError.all_of(errors)
     return found
 
 
@@ -132,6 +140,21 @@ class Slots:
         return out
 
 
+def _given_sensors(file: StudyFile, choices: list[Choices], path: Path) -> dict[int, tuple[Sensor, str | None]]:
+    """The sensors, and their models in files, of the groups without choices, by group. Raises ConfigError."""
+    found: dict[int, tuple[Sensor, str | None]] = {}
+    errors: list[ConfigError] = []
+    for i, (group, models) in enumerate(zip(file.sensors, choices, strict=True)):
+        if not any(models):
+            try:
+                found[i] = resolve_sensor(path, i, group.model, group.elevation_deg)
+            except ConfigError as error:
+                errors.append(error)
+    if errors:
+        raise ConfigError.all_of(errors)
+    return found
+
+
 def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, path: Path) -> Slots:
     """The slots of a file's groups; `choices` by group. Raises ConfigError."""
     found: list[Slot] = []
@@ -139,12 +162,13 @@ def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, pa
     upper = []
     mirror = []
     member = []
+    given = _given_sensors(file, choices, path)
     for i, (group, models) in enumerate(zip(file.sensors, choices, strict=True)):
         offered = tuple(
             choice and replace(choice, surface=_surface(file, bodies, choice.sensor, path, i)) for choice in models
         )
         one = next((choice for choice in offered if choice), None)
-        sensor, model = (one.sensor, one.model) if one else resolve_sensor(path, i, group.model, group.elevation_deg)
+        sensor, model = (one.sensor, one.model) if one else given[i]
         surface = one.surface if one else _surface(file, bodies, sensor, path, i)
         for choice in filter(None, offered):
             _fov_deg(choice.sensor, group, path, i)

@@ -16,7 +16,7 @@ from lidarcfg.config.models import NAME_MAX, Given, error_at, errors_at, load_or
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.cones import Lidar, placed, rig_lidars
-from lidarcfg.placement.detection import DetectionObject, check_fits
+from lidarcfg.placement.detection import DetectionObject, Distances, check_fits, from_point
 from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
@@ -38,9 +38,11 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
+from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.requirements import Requirements, Site, Source, resolved, sources
 from lidarcfg.requirements.robustness import Robust, mounted
 from lidarcfg.requirements.sensors import scanners_of
+from lidarcfg.requirements.target import box_target
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
 from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.scene import Scene, load_scene
@@ -238,6 +240,24 @@ class Study:
             return middle
         where: Array = self.midpoint[:, :2].mean(axis=0)
         return where
+
+    @cached_property
+    def body(self) -> Footprint | None:
+        """The footprint of the vehicle's bodies."""
+        return Footprint.of(self.vehicle.scene.mesh()) if self.vehicle else None
+
+    def distances(self, item: DetectionObject) -> Distances:
+        """Distances of an object's footprint from the vehicle's; without one, of its middle from the reference point.
+
+        A box of cuboids is the object, though it may be smaller than they are.
+        """
+        if self.body is None:
+            return from_point(self.reference_m)
+        body = self.body
+        known = {one.item.name: one.target for one in self.detection_targets}
+        target = known[item.name] if item.name in known else box_target(item.box_m)
+        footprint = Footprint.of((target.mesh[0] - target.origin_m, target.mesh[1]))
+        return lambda places: body.to_objects_m(footprint, places)
 
     @cached_property
     def outline_m(self) -> Array:

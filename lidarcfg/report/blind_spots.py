@@ -1,4 +1,4 @@
-"""Blind spots in a report: volumes by the number of LiDARs, and contours around the vehicle from above."""
+"""Blind spots in a report, by posts around the vehicle; and the shadow: volumes, and contours from above."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,11 @@ from lidarcfg.report.canvas import (
     sensor_dots,
     thinned,
 )
-from lidarcfg.report.html import Table
+from lidarcfg.report.evidence import draw_body, draw_posts, finish_map
+from lidarcfg.report.html import KeyFigure, Table
+from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.requirements.posts import STEP_M as POST_STEP_M
+from lidarcfg.requirements.posts import WIDTH_M, PostVisibility
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
@@ -38,6 +42,77 @@ MARGIN_M = 0.5  # shown around the largest contour
 LEGEND_IN = 1.4  # beside the contours
 
 
+def post_figure(posts: PostVisibility) -> KeyFigure:
+    """The blind spot for a post in a summary."""
+    value = "never seen at some azimuths"
+    if np.isfinite(posts.first_seen_m[posts.known]).all():
+        value = f"seen from {np.nanmax(posts.first_seen_m):.2f} m on"
+    gap_m = float(np.nanmax(posts.longest_gap_m))
+    beyond = f"longest gap beyond {gap_m:.2f} m" if gap_m else "no gap beyond"
+    detail = f"from the body, at the worst azimuth, within {posts.limit_m:g} m; {beyond}"
+    return KeyFigure(f"Blind spot, a post of {posts.height_m:g} m", value, detail)
+
+
+def posts_table(found: Sequence[PostVisibility]) -> Table:
+    """First seen, gaps, and seen without gaps to, by the height of a post."""
+    rows = []
+    for posts in found:
+        first = np.where(posts.known, posts.first_seen_m, -1.0)
+        worst = int(first.argmax())
+        gap = np.where(posts.known, posts.longest_gap_m, -1.0)
+        widest = int(gap.argmax())
+        to = np.where(posts.known, posts.seen_to_m, np.inf)
+        least = int(to.argmin())
+        azimuth = posts.azimuth_deg
+        rows.append(
+            [
+                f"{posts.height_m:g} m",
+                _at(first[worst], azimuth[worst]),
+                _at(gap[widest], azimuth[widest]) if gap[widest] else "none",
+                f"{posts.gap_share:.2%}",
+                _at(to[least], azimuth[least]),
+            ]
+        )
+    head = (
+        "post",
+        "first seen (m)",
+        "longest gap (m)",
+        "gaps' share",
+        "seen without gaps to (m)",
+    )
+    count = int(found[0].places.counts.sum())
+    where = (
+        f"within {found[0].limit_m:g} m of the body: {count:,} places, {POST_STEP_M:g} m apart on {AZIMUTHS} azimuths"
+    )
+    return Table(f"Blind spots: where a post {WIDTH_M:g} m wide is seen in the worst phase, {where}", head, rows)
+
+
+def _at(value: float, azimuth_deg: float) -> str:
+    return f"never at {azimuth_deg:.0f}°" if np.isinf(value) else f"{value:.2f} at {azimuth_deg:.0f}°"
+
+
+def draw_posts_by_height(body: Footprint, rig: Rig, found: Sequence[PostVisibility]) -> Markup:
+    """Where posts of each height are seen around the body."""
+    points = np.concatenate([posts.places.places[posts.places.counts][:, :2] for posts in found])
+    low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
+    width, height = high - low
+    columns = min(len(found), 3)
+
+    def draw(figure: "Figure") -> None:
+        figure.set_layout_engine("compressed")
+        grid = panels(figure, len(found), columns)
+        for posts, axes in zip(found, grid, strict=True):
+            draw_posts(axes, posts, legend=False)
+            draw_body(axes, body)
+            sensor_dots(axes, rig, "top", 3)
+            finish_map(axes, low, high)
+            axes.set_title(f"a post of {posts.height_m:g} m")
+            axes.label_outer()
+
+    each = float(np.clip((WIDTH_IN - LABELS_IN) / columns * height / width, 1.5, 4.5))
+    return drawing("posts", panels_in(each, -(-len(found) // columns)), "where posts are seen around the vehicle", draw)
+
+
 def volumes_table(blind: BlindSpots) -> Table:
     """The volume by the number of LiDARs that see it."""
     total = float(blind.seen_by_m3.sum())
@@ -46,7 +121,7 @@ def volumes_table(blind: BlindSpots) -> Table:
 
 
 def contours_table(blind: BlindSpots) -> Table:
-    """How far the blind spots reach at each height."""
+    """How far the shadow reaches at each height."""
     rows = [
         [
             f"{contour.directions.height_m:g} m",
@@ -57,7 +132,7 @@ def contours_table(blind: BlindSpots) -> Table:
         for contour in blind.contours
     ]
     head = ("above the ground", "largest (m)", *(f"{side} (m)" for side in SIDES), "area (m²)")
-    return Table("Blind spot: how far from the body something stays unseen", head, rows)
+    return Table("Shadow: how far from the body something may stay hidden, whatever the beams", head, rows)
 
 
 def _distance(contour: Contour, azimuth: int) -> str:
@@ -105,7 +180,7 @@ def window(contours: Sequence[Contour], rigs: Sequence[Rig]) -> tuple[Array, Arr
 
 
 def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Markup:
-    """The contours around the body, and a map of the blind height at each position."""
+    """The contours around the body, and a map of the hidden height at each position."""
     region = subspaces.region
     low, high = window(blind.contours, [rig])
     width, height = high - low
@@ -119,11 +194,15 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
         (above,), (below,) = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)
         axes = above.subplots()
         contours_view(axes, region, rig, blind.contours)
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title="blind-spot contours; gaps between beams aside")
+        axes.set(
+            xlim=(low[0], high[0]), ylim=(low[1], high[1]), title="contours of the shadow; gaps between beams aside"
+        )
         axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), title="above the ground")
         _draw_heights(below, subspaces, rig)
 
-    alt = "the blind-spot contours around the vehicle from above, and a map of how much is blind above each position"
+    alt = (
+        "the contours of the shadow around the vehicle from above, and a map of how much is hidden above each position"
+    )
     return drawing("blind", height_in(tall, flat), alt, draw)
 
 
@@ -159,4 +238,4 @@ def compare_contours(region: Region, named: Sequence[tuple[str, Rig, BlindSpots]
 
     wide = WIDTH_IN - LABELS_IN
     each = float(np.clip(wide / 2 * height / width, 1.5, 4.5))
-    return drawing("blind", panels_in(each, -(-len(named) // 2)), "the blind-spot contours of each rig", draw)
+    return drawing("blind", panels_in(each, -(-len(named) // 2)), "the contours of the shadow of each rig", draw)

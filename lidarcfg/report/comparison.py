@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import ConfigError
@@ -22,6 +24,7 @@ from lidarcfg.report.describe import (
     date,
     describe_limits,
     describe_object,
+    describe_origin,
     describe_rig,
     mounts_table,
     region_rows,
@@ -117,6 +120,10 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
     ]
     for item in study.detection:
         out.append(row(f"detection of {truncate(item.name, DRAWN)}", ".4f", partial(_rate, item.name), 1))
+    for i, posts in enumerate(rigs[0].found.posts if all(rig.found.posts for rig in rigs) else ()):
+        what = f"post of {posts.height_m:g} m"
+        out.append(row(f"{what}, first seen at most (m)", ".2f", partial(_first_seen, i), -1))
+        out.append(row(f"{what}, longest gap (m)", ".2f", partial(_longest_gap, i), -1))
     out += _blind_rows(rigs, row)
     out += [
         row("beams across an upright pole, median", "g", lambda rig: rig.details.coverage.median_beams, 1),
@@ -167,16 +174,16 @@ def _growth(angles: bool, rig: Contender) -> float:
 
 
 def _blind_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
-    """Volumes by the number of LiDARs, and how far the blind spots reach; none where all see everything."""
+    """Volumes by the number of LiDARs, and how far the shadow reaches; none where all see everything."""
     if not rigs[0].found.blind.contours:
         return []
     out = [
-        row("blind volume (m³)", ",.2f", lambda rig: rig.found.blind.volume_m3, -1),
+        row("shadow (m³)", ",.2f", lambda rig: rig.found.blind.volume_m3, -1),
         row("volume seen by one LiDAR (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[1]),
         row("volume seen by two or more (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[2:].sum(), 1),
     ]
     for i, contour in enumerate(rigs[0].found.blind.contours):
-        what = f"blind spot {contour.directions.height_m:g} m above the ground"
+        what = f"shadow {contour.directions.height_m:g} m above the ground"
         out.append(row(f"{what}, largest (m)", ".2f", partial(_blind_spot, i, "largest_m"), -1))
         out.append(row(f"{what}, area (m²)", ".2f", partial(_blind_spot, i, "area_m2"), -1))
     return out
@@ -184,6 +191,15 @@ def _blind_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) ->
 
 def _blind_spot(i: int, what: str, rig: Contender) -> float:
     return float(getattr(rig.found.blind.contours[i], what))
+
+
+def _first_seen(i: int, rig: Contender) -> float:
+    posts = rig.found.posts[i]
+    return float(posts.first_seen_m[posts.known].max())
+
+
+def _longest_gap(i: int, rig: Contender) -> float:
+    return float(np.nanmax(rig.found.posts[i].longest_gap_m))
 
 
 def _rate(name: str, rig: Contender) -> float:
@@ -273,6 +289,7 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         rings=drawings.draw_rings(rings) if rings else None,
         blind=compare_contours(study.region, blind) if blind[0][2].contours else None,
         limits=describe_limits(study),
+        origin=describe_origin(study),
         coverage=drawings.compare_coverage(study.region, coverage),
     )
 

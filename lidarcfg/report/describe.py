@@ -13,7 +13,7 @@ from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.detection import DetectionObject, GapFit, Returns
+from lidarcfg.placement.detection import Detection, DetectionObject, GapFit, Returns
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
@@ -96,11 +96,29 @@ def describe_object(item: DetectionObject) -> str:
     return f"{size} m, {where}, {how}; detected if in more than {counted(item.most_touched, 'subspace')}"
 
 
-def describe_hiding(hiding: Mapping[str, GapFit]) -> list[str]:
-    """A sentence for each object: whether it can be where no beam enters it, and where."""
+def describe_places(study: Study, item: DetectionObject, found: Detection) -> str:
+    """The number and the spacing of the places that a rate was counted at, or how they were drawn."""
+    if found.half_width:
+        return f"± {found.half_width:.4f}, {found.places:,} drawn places"
+    if item.returns:
+        headings = item.headings_deg or HEADINGS_DEG
+        turned = f", at {len(headings)} headings" if len(headings) > 1 else ""
+        return f"{found.places:,} places, {item.step_m or STEP_M:g} m apart{turned}"
+    steps = study.region.cuboid_m[: 2 if item.on_ground else 3]
+    return f"{found.places:,} places, {' × '.join(f'{step:g}' for step in steps)} m apart"
+
+
+def describe_hiding(hiding: Mapping[str, GapFit], origin: str) -> list[str]:
+    """A sentence for each object: whether it can be where no beam enters it, and where; `origin` of distances."""
     return [
-        f"{truncate(name)} ({_size(found.size_m)}, {_heights(found)}) {_fits(found)}." for name, found in hiding.items()
+        f"{truncate(name)} ({_size(found.size_m)}, {_heights(found)}) {_fits(found, origin)}."
+        for name, found in hiding.items()
     ]
+
+
+def describe_origin(study: Study) -> str:
+    """What distances along the ground begin at."""
+    return "the vehicle's body" if study.vehicle else "the midpoint of the sensors' bounds"
 
 
 def _size(size_m: Sequence[float]) -> str:
@@ -111,11 +129,11 @@ def _heights(found: GapFit) -> str:
     return "on the ground" if found.on_ground else "at any height"
 
 
-def _fits(found: GapFit) -> str:
+def _fits(found: GapFit, origin: str) -> str:
     if found.nearest_at_m is None:
         return "fits into no gap: wherever it is, a beam or the edge of a sensor's sight crosses it"
     at = vector(found.nearest_at_m, ".1f")
-    where = f"the nearest place is {found.nearest_m:.1f} m from the midpoint of the sensors' bounds, at x, y = {at} m"
+    where = f"the nearest place is {found.nearest_m:.1f} m from {origin}, at x, y = {at} m"
     if found.in_worst:
         others = f" and into {counted(found.subspaces - 1, 'other')}" if found.subspaces > 1 else ""
         return f"fits unseen into the worst gap{others}; {where}"

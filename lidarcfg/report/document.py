@@ -12,10 +12,17 @@ from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation, Worst
 from lidarcfg.placement.report_inputs import ReportInputs
-from lidarcfg.placement.search_run import Placement
+from lidarcfg.placement.search_run import Placement, at_bounds
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
-from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table
+from lidarcfg.report.blind_spots import (
+    contours_table,
+    draw_blind_spots,
+    draw_posts_by_height,
+    post_figure,
+    posts_table,
+    volumes_table,
+)
 from lidarcfg.report.describe import (
     bounds_table,
     counted,
@@ -25,6 +32,8 @@ from lidarcfg.report.describe import (
     describe_limits,
     describe_object,
     describe_objective,
+    describe_origin,
+    describe_places,
     describe_returns,
     describe_rig,
     describe_skips,
@@ -78,6 +87,7 @@ def report(
     own = _tables(study, rig, details)
     other = _tables(study, baseline.rig, baseline.details) if baseline else {}
     tables = {name: with_baseline_rows(table, other.get(name)) for name, table in own.items()}
+    summary = _summary(study, details, placement)
     what = "optimised" if placement else "evaluated"
     return render(
         "report.html",
@@ -86,7 +96,8 @@ def report(
         found=verdict_part(details.verification, rig, baseline.details.evaluation.verdict if baseline else None)
         if details.verification
         else None,
-        summary=with_baseline_figures(_summary(details), _of_baseline(baseline)) if baseline else _summary(details),
+        summary=with_baseline_figures(summary, _of_baseline(study, baseline)) if baseline else summary,
+        at_bounds=_at_bounds(study, rig),
         baseline=baseline,
         baseline_yaml=yaml_text(rig_to_dict(baseline.rig)) if baseline else None,
         placement=placement,
@@ -99,10 +110,11 @@ def report(
         worst_is_outside=_is_outside(found.worst[0]),
         worst_is_blind=all(pair == [None, None] for pair in found.worst[0].between_deg),
         quantiles=[f"{value:.4f}" for value in np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0))],
-        vehicle=[f"{value:.2f}" for value in details.vehicle_m],
         limits=describe_limits(study),
         coverage=_coverage(details, rig),
-        hides=describe_hiding(details.gap_fits),
+        hides=describe_hiding(details.gap_fits, describe_origin(study)),
+        origin=describe_origin(study),
+        has_body=study.vehicle is not None,
         analytic=_analytic(found, found.analytic, baseline) if found.analytic else None,
         exact_rates=any(not item.samples for item in study.detection),
         drawn_rates=any(item.samples for item in study.detection),
@@ -113,6 +125,13 @@ def report(
         drawings=_drawings(study, rig, details, placement, baseline),
         **tables,
     )
+
+
+def _at_bounds(study: Study, rig: Rig) -> tuple[str, ...]:
+    """The coordinates that are at a bound; none of a rig whose sensors are not the study's."""
+    if len(rig.mounts) != len(study.slots):
+        return ()
+    return at_bounds(study, np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts]))
 
 
 def _tables(study: Study, rig: Rig, details: ReportInputs) -> dict[str, Table | None]:
@@ -128,6 +147,7 @@ def _tables(study: Study, rig: Rig, details: ReportInputs) -> dict[str, Table | 
         "zones": zones_table(found.zones) if found.zones else None,
         "lost": lost_table(robust, study) if robust and robust.without else None,
         "sensitivity": sensitivity_table(rig, robust) if robust else None,
+        "posts": posts_table(found.posts) if found.posts else None,
         "volumes": volumes_table(found.blind),
         "contours": contours_table(found.blind) if found.blind.contours else None,
         "shape": _shape(details),
@@ -155,23 +175,28 @@ def _drawings(
         "sizes": drawings.draw_sizes(both),
         "rings": drawings.draw_rings(rings) if details.rings else None,
         "places": drawings.draw_places(region, rig, places) if places else None,
+        "posts": draw_posts_by_height(study.body, rig, found.posts) if found.posts and study.body else None,
         "blind": draw_blind_spots(found.subspaces, rig, found.blind) if found.blind.contours else None,
         "coverage": drawings.draw_coverage(region, rig, details.coverage),
     }
 
 
-def _of_baseline(baseline: Baseline) -> list[KeyFigure]:
+def _of_baseline(study: Study, baseline: Baseline) -> list[KeyFigure]:
     """Its figures in a summary: the midpoint of the bounds is the study's, whatever the rig."""
-    return _summary(replace(baseline.details, midpoint_max_vsr_m=None))
+    return _summary(study, replace(baseline.details, midpoint_max_vsr_m=None))
 
 
-def _summary(details: ReportInputs) -> list[KeyFigure]:
+def _summary(study: Study, details: ReportInputs, placement: Placement | None = None) -> list[KeyFigure]:
+    """Key figures; that which was minimised comes first."""
     found = details.evaluation
     midpoint = details.midpoint_max_vsr_m
     worst = found.worst[0]
     at = f"at {vector(worst.centroid_m, '.1f')} m"
     largest = f"the largest of {counted(len(found.subspaces), 'subspace')}"
-    figures = [KeyFigure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest)]
+    figures = []
+    if placement and not study.is_max_vsr:
+        figures.append(KeyFigure("Objective", f"{placement.objective:.6f}", describe_objective(study)))
+    figures.append(KeyFigure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest))
     if midpoint is not None:
         more = found.max_vsr_m / midpoint - 1
         than = f"this rig's max VSR is {abs(more):.0%} {'larger' if more > 0 else 'smaller'}"
@@ -188,14 +213,24 @@ def _summary(details: ReportInputs) -> list[KeyFigure]:
     )
     if found.blind.contours:
         part = found.blind.volume_m3 / float(found.blind.seen_by_m3.sum())
-        figures.append(KeyFigure("Blind volume", f"{found.blind.volume_m3:.2f} m³", f"{part:.2%} of the region"))
+        figures.append(
+            KeyFigure(
+                "Shadow: seen by no sensor, whatever its beams",
+                f"{found.blind.volume_m3:.2f} m³",
+                f"{part:.2%} of the region",
+            )
+        )
         low = found.blind.contours[0]
         where = f"{low.directions.height_m:g} m above the ground, at {low.largest_at_deg:.0f}°"
         least = "≥ " if low.largest_reaches_edge else ""
-        figures.append(KeyFigure("Blind spot, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
-    for name, rate in found.detection.items():
-        how = f"± {rate.half_width:.2%}, of {rate.places:,} drawn positions" if rate.half_width else "of all positions"
-        figures.append(KeyFigure(f"Detection of {truncate(name)}", f"{rate.rate:.2%}", how))
+        figures.append(KeyFigure("Shadow, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
+    figures += [post_figure(posts) for posts in found.posts]
+    for item in study.detection:
+        name = item.name
+        rate = found.detection[name]
+        figures.append(
+            KeyFigure(f"Detection of {truncate(name)}", f"{rate.rate:.2%}", describe_places(study, item, rate))
+        )
     return figures
 
 
@@ -299,14 +334,14 @@ def _detection(study: Study, found: Evaluation) -> Table | None:
         [
             truncate(item.name),
             f"{rate.rate:.4f}",
-            f"± {rate.half_width:.4f}" if rate.half_width else "exact",
-            f"{rate.places:,}",
+            describe_places(study, item, rate),
             describe_object(item) + (f"; {describe_returns(rate.returns)}" if rate.returns else ""),
         ]
         for item, rate in ((item, found.detection[item.name]) for item in study.detection)
     ]
-    head = ("object", "rate", "95 %", "positions", "what it is")
-    return Table("Detection rate of each object", head, rows, texts=(4,)) if rows else None
+    head = ("object", "rate", "places", "what it is")
+    caption = "Detection rate of each object at the places that were tried; ± is of the 95 % interval over all places"
+    return Table(caption, head, rows, texts=(2, 3)) if rows else None
 
 
 def _rings(rings: dict[str, Rings]) -> Table | None:

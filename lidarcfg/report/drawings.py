@@ -179,12 +179,12 @@ def draw_rings(titled: Sequence[tuple[str, Mapping[str, Rings]]]) -> Markup:
             if n % 2 == 0:
                 axes.set_ylabel("detection rate (%)")
             if n >= len(titled) - 2:
-                axes.set_xlabel("distance from the vehicle (m)")
+                axes.set_xlabel("distance (m)")
             axes.grid(True)
         grid[0].legend(fontsize=7.5)
 
     height = 0.6 + 2.3 * -(-len(titled) // 2)
-    return drawing("rings", height, "detection rate by distance from the vehicle", draw)
+    return drawing("rings", height, "detection rate by distance", draw)
 
 
 def least_detected(found: Sequence[Evaluation]) -> list[str]:

@@ -78,7 +78,7 @@ def draw_map(evidence: Evidence, rig: Rig, number: int) -> Markup | None:
             _draw_hidden(figure, axes, evidence.hidden)
         if evidence.zone:
             _draw_zone(axes, evidence.zone)
-        _draw_body(axes, evidence.body)
+        draw_body(axes, evidence.body)
         sensor_dots(axes, rig, "top", 4)
         if evidence.verdict.worst:
             _mark_worst(axes, evidence.verdict, ARROW * float(width))
@@ -186,7 +186,8 @@ def _draw_hidden(figure: "Figure", axes: "Axes", hidden: HiddenColumns) -> None:
     figure.colorbar(image, ax=axes, shrink=0.9, label="height in shadow (m)")
 
 
-def _draw_body(axes: "Axes", body: Footprint | None) -> None:
+def draw_body(axes: "Axes", body: Footprint | None) -> None:
+    """The vehicle's outline from above."""
     for outline in body.outlines_m if body else ():
         axes.fill(*outline.T, facecolor=(*EXCLUDED, 0.9), edgecolor="0.2", lw=0.9, zorder=1.5)
 

@@ -224,7 +224,7 @@ def _points_table(study: Study, found: Front) -> Table:
     for point in found.points:
         name = point.combination.name
         evaluation = point.placement.evaluation
-        link = Markup('<a href="points/{}/report.html">{}</a>').format(quote(name), name)
+        link = Markup('<a href="points/{}/report.html">{}</a>').format(quote(name), truncate(name))
         rows.append(
             [
                 price(point.combination.price),

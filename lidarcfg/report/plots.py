@@ -87,8 +87,10 @@ def draw_rig(study: "Study", rig: Rig, found: "Evaluation") -> "Figure":
         right = float(region.max_m[across])
         bottom = float(region.min_m[up])
         top = float(region.max_m[up])
+        _draw_body(axes, study, across, up)
+        excluded = region.excluded_lines[hidden] & (study.vehicle is None)  # a vehicle is drawn itself
         for mask, colour in (
-            (region.excluded_lines[hidden], (0.6, 0.6, 0.6)),
+            (excluded, (0.6, 0.6, 0.6)),
             (found.extents[0].lines[hidden] > 0, (0.84, 0.37, 0.0)),
         ):
             picture = np.zeros((*mask.T.shape, 4))
@@ -108,9 +110,20 @@ def draw_rig(study: "Study", rig: Rig, found: "Evaluation") -> "Figure":
     named = summarize([truncate(mount.name, DRAWN) for mount in rig.mounts])
     rest = [Line2D([], [], ls="")] * (len(named) < len(dots))
     figure.axes[0].legend([*dots[: len(named) - len(rest)], *rest], named, loc="upper right")
-    title = f"{truncate(rig.name)}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, excluded grey"
+    grey = "the vehicle" if study.vehicle else "excluded"
+    title = f"{truncate(rig.name)}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, {grey} grey"
     figure.suptitle(title, parse_math=False)
     return figure
+
+
+def _draw_body(axes: "Axes", study: "Study", across: int, up: int) -> None:
+    """The vehicle's bodies, from one side."""
+    from matplotlib.collections import PolyCollection
+
+    if study.vehicle:
+        vertices, triangles = study.vehicle.scene.mesh()[:2]
+        seen = vertices[triangles][:, :, [across, up]]
+        axes.add_collection(PolyCollection(list(seen), facecolors="0.75", edgecolors="0.75", lw=0.3, rasterized=True))
 
 
 def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -> None:

@@ -16,9 +16,12 @@ from lidarcfg import __version__
 from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
+from lidarcfg.geometry import Array
 from lidarcfg.placement.blind_spots import Contour
+from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.report_inputs import ReportInputs
+from lidarcfg.placement.return_counts import STEP_M as STEP_M_OF_RETURNS
 from lidarcfg.placement.search_run import Log, Placement
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
@@ -27,6 +30,7 @@ from lidarcfg.report.document import Baseline, Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.report.verification import verdict_page
 from lidarcfg.requirements.evidence import Verification
+from lidarcfg.requirements.posts import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
 
@@ -34,7 +38,6 @@ from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:
     """The values that `evaluate --json` prints and every result.json contains."""
     return {
-        **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
         "measure": "faces",
         "max_vsr_m": found.max_vsr_m,
         "analytic": found.analytic and asdict(found.analytic) | {"reached": found.analytic.reached},
@@ -49,17 +52,18 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "detection_returns": {
             name: asdict(detection.returns) for name, detection in found.detection.items() if detection.returns
         },
+        "detection_spacing_m": {item.name: _spacing_m(study, item) for item in study.detection},
         "detection_places": {name: detection.places for name, detection in found.detection.items()},
         "seen_by_m3": found.blind.seen_by_m3.tolist(),
-        "blind_volume_m3": found.blind.volume_m3,
-        "blind_spots": [_contour(contour) for contour in found.blind.contours],
+        "shadow_volume_m3": found.blind.volume_m3,
+        "shadow": [_contour(contour) for contour in found.blind.contours],
+        "blind_spots": [_posts(posts) for posts in found.posts],
         "zones": [asdict(zone) for zone in found.zones],
         "robustness": found.robustness and _robustness(rig, found.robustness),
         "worst": [asdict(worst) for worst in found.worst],
         "skipped": {"rigs": 1, "full_evaluations": 0, "cuboids": 0, "segments": 0},
         "rig": rig_to_dict(rig),
         "study": study.file,
-        **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
     }
 
 
@@ -75,8 +79,35 @@ def _robustness(rig: Rig, found: Robustness) -> dict[str, Any]:
     }
 
 
+def _spacing_m(study: Study, item: DetectionObject) -> list[float] | None:
+    """Between the places at which a rate was counted, along x and y, and z where it matters; null where drawn."""
+    if item.samples:
+        return None
+    if item.returns:
+        return [item.step_m or STEP_M_OF_RETURNS] * 2
+    steps: list[float] = study.region.cuboid_m[: 2 if item.on_ground else 3].tolist()
+    return steps
+
+
+def _posts(posts: PostVisibility) -> dict[str, Any]:
+    """Where a post is seen, by azimuth; null where it stands nowhere, or where it is never seen."""
+
+    def column(values: Array) -> list[float | None]:
+        return [value if math.isfinite(value) else None for value in values.tolist()]
+
+    return {
+        "post_height_m": posts.height_m,
+        "limit_m": posts.limit_m,
+        "gap_share": posts.gap_share,
+        "azimuth_deg": posts.azimuth_deg.tolist(),
+        "first_seen_m": column(posts.first_seen_m),
+        "longest_gap_m": column(posts.longest_gap_m),
+        "seen_without_gaps_to_m": column(posts.seen_to_m),
+    }
+
+
 def _contour(contour: Contour) -> dict[str, Any]:
-    """A blind-spot contour; a distance of null where the region has no part in that direction."""
+    """A contour of the shadow; a distance of null where the region has no part in that direction."""
     around = contour.directions
     return {
         "height_m": around.height_m,

@@ -12,7 +12,7 @@ from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
-from lidarcfg.report.describe import counted, describe_returns, price
+from lidarcfg.report.describe import counted, describe_places, describe_returns, price
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.text import MANY, summarize, terminal, truncate
 from lidarcfg.report.verdict import print_verdict
@@ -41,7 +41,7 @@ def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> N
     search.add_row("evaluations", f"{found.evaluations:,}")
     search.add_row("seconds", f"{found.seconds:.1f}")
     terminal().print(search)
-    print_evaluation(found.rig, evaluation, with_verdict=False)
+    print_evaluation(study, found.rig, evaluation, with_verdict=False)
     for line in found.at_bounds:
         terminal().print(line)
 
@@ -61,7 +61,7 @@ def print_front(study: Study, found: "Front") -> None:
             f"{evaluation.max_vsr_m:.4f}",
             *(f"{evaluation.detection[name].rate:.4f}" for name in objects),
             point.combination.sensors,
-            f"points/{point.combination.name}",
+            f"points/{truncate(point.combination.name)}",
         )
     console = terminal()
     console.print(table)
@@ -74,7 +74,7 @@ def print_front(study: Study, found: "Front") -> None:
     )
 
 
-def print_evaluation(rig: Rig, found: Evaluation, with_verdict: bool = True) -> None:
+def print_evaluation(study: Study, rig: Rig, found: Evaluation, with_verdict: bool = True) -> None:
     """Print the verdict, the rig, its max VSR and detection rates, and the worst subspaces."""
     console = terminal()
     if found.verdict and with_verdict:
@@ -92,10 +92,10 @@ def print_evaluation(rig: Rig, found: Evaluation, with_verdict: bool = True) -> 
         console.print(f"max VSR in {truncate(zone.name)}: {zone.max_vsr_m:.6f} m{weighted}")
     for line in robust_lines(found.robustness) if found.robustness else ():
         console.print(line)
-    for name, detection in found.detection.items():
-        how = f"± {detection.half_width:.4f}, {detection.places:,} drawn positions"
-        if not detection.half_width:
-            how = f"all {detection.places:,} positions"
+    for item in study.detection:
+        name = item.name
+        detection = found.detection[name]
+        how = describe_places(study, item, detection)
         console.print(f"detection rate of {truncate(name)}: {detection.rate:.4f} ({how})")
         if detection.returns:
             console.print(f"  {describe_returns(detection.returns)}")
@@ -142,7 +142,7 @@ def print_comparison(study: Study, rigs: "Sequence[Contender]") -> None:
 
 
 def blind_lines(blind: BlindSpots) -> list[str]:
-    """The volume by the number of LiDARs, and how far the blind spot reaches; nothing where all see everything."""
+    """The volume by the number of LiDARs, and how far the shadow reaches; nothing where all see everything."""
     if not blind.contours:
         return []
     total = float(blind.seen_by_m3.sum())
@@ -155,7 +155,7 @@ def blind_lines(blind: BlindSpots) -> list[str]:
         height = contour.directions.height_m
         least = "at least " if contour.largest_reaches_edge else ""
         far = f"{least}{contour.largest_m:.2f} m from the body at {contour.largest_at_deg:.0f}°"
-        lines.append(f"blind spot {height:g} m above the ground: up to {far}, {contour.area_m2:.2f} m² in all")
+        lines.append(f"shadow {height:g} m above the ground: up to {far}, {contour.area_m2:.2f} m² in all")
     return lines
 
 

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 from markupsafe import Markup
 
 from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
 from lidarcfg.placement.study import Study
+from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.describe import date, describe_rig, mounts_table, versions
 from lidarcfg.report.evidence import draw_frames, draw_map, draw_views, map_caption
 from lidarcfg.report.html import FailCell, PassCell, Table, render
@@ -25,7 +27,8 @@ from lidarcfg.report.verdict import (
     signed,
     worst_place,
 )
-from lidarcfg.requirements.evidence import Verification
+from lidarcfg.requirements.evidence import OFF_M, OFF_RAD, Verification
+from lidarcfg.requirements.objects import MountMargins
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 
@@ -39,6 +42,7 @@ class RequirementPart:
     map: Markup | None
     map_caption: str
     views: Markup | None
+    margins: Table | None
     frames: Markup | None
 
 
@@ -62,6 +66,7 @@ def verdict_part(found: Verification, rig: Rig, against: Verdict | None = None) 
             map=draw_map(one, rig, number),
             map_caption=map_caption(one) if one.has_map else "",
             views=draw_views(one, number),
+            margins=margins_table(one.margins, rig) if one.margins else None,
             frames=draw_frames(one, number),
         )
         for number, one in enumerate(found.evidence, 1)
@@ -102,6 +107,25 @@ def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
     last = len(head) - 1
     caption = "Phases are quarters of the step between two firings, by sensor, where the fewest beams return"
     return Table(caption, head, rows, texts=(1, last - 2, last - 1, last))
+
+
+def margins_table(found: MountMargins, rig: Rig) -> Table:
+    """The returns in the worst place with each sensor lost, and with each coordinate of its mount off."""
+    rows = []
+    for mount, without, off in zip(rig.mounts, found.without.tolist(), found.off.tolist(), strict=True):
+        cells = [_judged(value, found.demanded) for value in (without, *off)]
+        rows.append([truncate(mount.name), *(cells if len(rig.mounts) > 1 else ["–", *cells[1:]])])
+    units = f"{100 * OFF_M:g} cm", f"{np.degrees(OFF_RAD):g}°"
+    head = ("mount", "lost", *(f"{name} {units[axis > 2]} off" for axis, name in enumerate(COORDINATES)))
+    caption = (
+        f"Returns in the worst place, of {found.demanded} demanded and {found.whole} with nothing wrong: with a sensor "
+        "lost, over the base grid; with one coordinate of its mount off, either way, over the grid's lowest places"
+    )
+    return Table(caption, head, rows)
+
+
+def _judged(value: int, demanded: int) -> str:
+    return FailCell(f"{value}") if value < demanded else f"{value}"
 
 
 def sentence(one: RequirementVerdict) -> str:

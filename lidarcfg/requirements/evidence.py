@@ -8,7 +8,7 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.detection import ScenarioResult
 from lidarcfg.requirements.footprint import Footprint
-from lidarcfg.requirements.objects import CAP_MAX, ObjectJudge, ObjectRequirement, PlaceCounts
+from lidarcfg.requirements.objects import CAP_MAX, MountMargins, ObjectJudge, ObjectRequirement, PlaceCounts
 from lidarcfg.requirements.places import Zone
 from lidarcfg.requirements.posts import PostRequirement, PostVisibility
 from lidarcfg.requirements.scenarios import ScenarioRequirement
@@ -19,6 +19,9 @@ from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import OnProgress, Verifier, silent
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.beams import PassingBeams, passing_beams
+
+OFF_M = 0.05  # of one coordinate of a mount
+OFF_RAD = np.radians(0.5)
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ class Evidence:
     hidden: HiddenColumns | None = None
     scenario: ScenarioResult | None = None
     views: tuple[SensorView, ...] = ()
+    margins: MountMargins | None = None
 
     @property
     def has_map(self) -> bool:
@@ -86,6 +90,7 @@ def evidence(verifier: Verifier, mounts: Sequence[Mount], found: Verdict) -> tup
                     zone=item.stand.zone,
                     counts=judge.counts(mounts),
                     views=_views(verifier, item, mounts, one),
+                    margins=judge.margins(mounts, OFF_M, OFF_RAD),
                 )
             )
         elif isinstance(judge, PostRequirement):

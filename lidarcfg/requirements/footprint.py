@@ -63,13 +63,20 @@ class Footprint:
 
     def to_objects_m(self, footprint: "Footprint", places: Array) -> Array:
         """(P,) distances of an object's footprint at places (P, 4): x, y, z, heading in radians; 0 where they meet."""
+        return np.asarray(np.linalg.norm(self.ways_to_objects_m(footprint, places), axis=1))
+
+    def ways_to_objects_m(self, footprint: "Footprint", places: Array) -> Array:
+        """(P, 2) the shortest ways from it to an object's footprint at places (P, 4); 0 where they meet."""
         if not len(places):
-            return np.empty(0)
+            return np.empty((0, 2))
         cos, sin = maths.cos(places[:, 3]), maths.sin(places[:, 3])
         R = np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
-        found = np.full(len(places), np.inf)
+        shortest = np.full((len(places), 2), np.inf)
         for outline in footprint.outlines_m:
             corners = np.einsum("pij,vj->pvi", R, outline) + places[:, None, :2]
             made = shapely.polygons(corners) if len(outline) > 3 else shapely.linestrings(corners)
-            found = np.minimum(found, shapely.distance(self.shape, made))
-        return found
+            ends = shapely.get_coordinates(shapely.shortest_line(self.shape, made)).reshape(-1, 2, 2)
+            way = ends[:, 1] - ends[:, 0]
+            nearer = np.linalg.norm(way, axis=1) < np.linalg.norm(shortest, axis=1)
+            shortest[nearer] = way[nearer]
+        return shortest

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import ClusterRule, Lowest, Target, count_clusters
 from lidarcfg.world.obstacles import Obstacles
 
-LOWEST = 128  # places, around which others are tried
+LOWEST = 256  # places, around which others are tried
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then
@@ -111,9 +111,19 @@ class PlaceCounts:
 
     at_m: Array  # (N, 2)
     values: Counts  # (N,) in the worst case; lower bounds from the cap on
-    side_m: Array  # (N,) between neighbours there
+    side_m: Array  # (N,) of squares that cover the zone; the largest come first, as they lie below the others
     demanded: int
     cap: int
+
+
+@dataclass(frozen=True)
+class MountMargins:
+    """What an object reaches with one sensor lost, and with one coordinate of one mount off."""
+
+    demanded: int
+    without: Counts  # (mounts,) at the base grid, in the place that decides
+    off: Counts  # (mounts, 6) the least, off either way, at the base grid's lowest places
+    whole: int  # at these, with no mount off
 
 
 def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts:
@@ -168,8 +178,33 @@ class ObjectJudge:
         at = found.places[worst, :2]
         side_m = np.full(len(at), stand.far_step_m)
         if stand.zone.body:
-            side_m[stand.zone.body.to_points_m(at) <= stand.near_m] = stand.near_step_m
-        return PlaceCounts(at, values, side_m, self.item.returns, self.first_cap)
+            distance_m = stand.zone.body.to_points_m(at)
+            side_m[distance_m <= stand.near_m + stand.far_step_m] *= 2  # to the edge of the finer grid
+            side_m[distance_m <= stand.near_m] = stand.near_step_m
+        order = np.argsort(-side_m, kind="stable")
+        return PlaceCounts(at[order], values[order], side_m[order], self.item.returns, self.first_cap)
+
+    def margins(self, mounts: Sequence[Mount], off_m: float, off_rad: float) -> MountMargins | None:
+        """What single failures and mounts that are off by so much leave; None for clusters, which would take long."""
+        item = self.item
+        if item.cluster_m is not None:
+            return None
+        base = self.measured(mounts, self.first_cap)
+        counts = base.lowest.counts
+        without = [
+            self._number(reached(np.delete(counts, n, axis=1), 0, item.sensors)).min() if len(mounts) > 1 else 0
+            for n in range(len(mounts))
+        ]
+        lowest = np.ascontiguousarray(base.places[_lowest(base.values)])
+        off = np.empty((len(mounts), 6), np.int64)
+        for mount, axis in product(range(len(mounts)), range(6)):
+            least = []
+            for way in (-1, 1):
+                errors = np.zeros((len(mounts), 6))
+                errors[mount, axis] = way * (off_m if axis < 3 else off_rad)
+                least.append(self.measured_at(lowest, misplaced(mounts, errors), self.first_cap).values.min())
+            off[mount, axis] = min(least)
+        return MountMargins(item.returns, np.array(without, np.int64), off, int(base.values.min()))
 
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
@@ -361,8 +396,8 @@ class ObjectJudge:
         These are exact up to the greatest of the lowest, which others only lower.
         """
         stand = self.item.stand
-        every = base
         cap = max(int(base.values[_lowest(base.values)].max()) + 1, self.item.returns)
+        every = base.joined(self.measured_at(stand.edge, mounts, cap)) if len(stand.edge) else base
         seen: set[tuple[int, ...]] = set()
         step_m = stand.far_step_m
         turns = np.diff(stand.headings_rad)

@@ -32,7 +32,7 @@ KEPT_BYTES = 1 << 28  # of counts, of all sensors at all poses
 KEPT_MIN = 256  # sensors at poses, whatever memory they take
 FIRST_PLACES = 32  # after which it is first asked whether a trial is refuted already
 GROWTH = 4  # of the number of places, until it is asked again
-CAP_FACTOR = 4  # by which returns are counted beyond those demanded, for margins
+CAP_FACTOR = 2  # by which returns are counted beyond those demanded, for margins
 CAP_MAX = 1 << 23
 FADING = 0.9  # of what a place counted for in earlier batches
 
@@ -154,6 +154,10 @@ class ObjectTrials:
         columns = [one.counts[self.number] for one in sensors]
         found = np.stack([column[rows] for column in columns], axis=1)
         if (found < 0).any():
+            for s, one in enumerate(sensors):
+                if self.number in one.more:  # counted beyond what is demanded, for the margin
+                    known = np.minimum(one.more[self.number][rows], item.returns)
+                    found[:, s] = np.where(found[:, s] < 0, known, found[:, s])
             self._count(sensors, rows, found, item.returns)
             for column, values in zip(columns, found.T, strict=True):
                 column[rows] = values
@@ -459,8 +463,8 @@ class RigTrials:
 
 
 def tightness(margin: float) -> float:
-    """What is minimised in place of a relative margin: above 0, and 1 where requirements are just met."""
-    return 1 / (1 + margin)
+    """What is minimised in place of a relative margin: above 0, 1 where requirements are just met; inf: nothing is."""
+    return 1 / (1 + margin) if margin > -1 else math.inf
 
 
 def _last(values: Iterator[float]) -> float:

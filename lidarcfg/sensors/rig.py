@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, ModelWrapValidatorHandler, model_validator
 
 from lidarcfg.config.document import yaml_text
 from lidarcfg.config.models import (
@@ -28,6 +28,7 @@ from lidarcfg.config.models import (
     load_or_check,
     unknown_key,
     validation_error,
+    with_faults,
 )
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
@@ -81,14 +82,15 @@ class MountFile(Model):
     phase_deg: Azimuth | None = None
     realism: RealismOrName | None = None
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _check_keys(cls, data: Any) -> Any:
-        if isinstance(data, dict):
-            for key, value in data.items():
-                if key not in cls.model_fields and (key in cls.renamed or not isinstance(value, dict)):
-                    raise validation_error(unknown_key(str(key), cls), str(key))
-        return data
+    def _check_keys(cls, data: Any, handler: "ModelWrapValidatorHandler[MountFile]") -> "MountFile":
+        unknown = [
+            key
+            for key, value in (data.items() if isinstance(data, dict) else ())
+            if key not in cls.model_fields and (key in cls.renamed or not isinstance(value, dict))
+        ]
+        return with_faults([validation_error(unknown_key(str(key), cls), str(key)) for key in unknown], data, handler)
 
     @model_validator(mode="after")
     def _check(self) -> "MountFile":
@@ -248,14 +250,21 @@ def load_rig(given: Given) -> Rig:
     file, path = load_or_check(given, RigFile)
     mounts: list[Mount] = []
     known: dict[tuple[str | None, tuple[float, ...] | None], tuple[Sensor, str | None]] = {}  # read once each
+    errors: list[ConfigError] = []
     for i, listed in enumerate(file.sensors):
         which = listed.model, listed.elevation_deg
-        if which not in known:
-            known[which] = resolve_sensor(path, i, *which)
-        mount = _mount(path, i, listed, *known[which])
-        for other in mounts:
-            _check_endpoints(path, i, mount, other)
-        mounts.append(mount)
+        try:
+            if which not in known:
+                known[which] = resolve_sensor(path, i, *which)
+            mount = _mount(path, i, listed, *known[which])
+            for other in mounts:
+                _check_endpoints(path, i, mount, other)
+        except ConfigError as error:
+            errors.append(error)
+        else:
+            mounts.append(mount)
+    if errors:
+        raise ConfigError.all_of(errors)
     vehicle = None if file.vehicle is None else Section(_whole(file.vehicle, path.parent), str(path), ("vehicle",))
     return Rig(file.name, tuple(mounts), vehicle)
 

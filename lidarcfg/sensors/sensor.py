@@ -5,13 +5,14 @@ the maker's packets need is under a key named after the codec, which checks it w
 """
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from lidarcfg import maths
 from lidarcfg.config.models import (
@@ -24,6 +25,7 @@ from lidarcfg.config.models import (
     load,
     unknown_key,
     validation_error,
+    with_faults,
 )
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
@@ -36,6 +38,7 @@ Metres = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Least = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 BEAMS_MAX = 10_000
+NEAREST = 3  # names that an unknown one may mean, at most
 
 
 def _check_fov(value: tuple[float, float]) -> tuple[float, float]:
@@ -201,14 +204,15 @@ class Sensor(Model):
     codec: Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")] | None = None
     _file: "File" = PrivateAttr(default_factory=lambda: File(""))
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _check_keys(cls, data: Any) -> Any:
-        if isinstance(data, dict):
-            for key in data:
-                if key not in cls.model_fields and key != data.get("codec"):
-                    raise validation_error(unknown_key(str(key), cls), str(key))
-        return data
+    def _check_keys(cls, data: Any, handler: "ModelWrapValidatorHandler[Sensor]") -> "Sensor":
+        unknown = [
+            key
+            for key in (data if isinstance(data, dict) else ())
+            if key not in cls.model_fields and key != data.get("codec")
+        ]
+        return with_faults([validation_error(unknown_key(str(key), cls), str(key)) for key in unknown], data, handler)
 
     @model_validator(mode="after")
     def _check(self) -> "Sensor":
@@ -316,12 +320,20 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
         sensor = load(base / name, Sensor)
         sensor._file = File(str(base / name))
         return sensor
+    raise ConfigError(f"no sensor is called {str(name)!r}; {_meant(str(name), known)}")
+
+
+def _meant(name: str, known: Iterable[str]) -> str:
+    """What a name that is not known may mean, and where the known ones are."""
     import difflib  # slow to load, and only for mistakes
 
     plain = {_plain(one): one for one in known}
-    close = difflib.get_close_matches(_plain(name), plain, 1, 0.75) or [one for one in plain if _plain(name) in one]
-    hint = f"did you mean {plain[close[0]]}? " if close else ""
-    raise ConfigError(f"no sensor is called {str(name)!r}; {hint}allowed: {', '.join(known)}, or a path to a .yaml")
+    close = [_plain(name)] if _plain(name) in plain else difflib.get_close_matches(_plain(name), plain, NEAREST, 0.75)
+    close = close or [one for one in plain if _plain(name) and _plain(name) in one][:NEAREST]
+    names = [plain[one] for one in close]
+    several = f"{', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else "".join(names)
+    hint = f"did you mean {several}? " if names else ""
+    return f"{hint}allowed: a name that lidarcfg sensors lists, or a path to a .yaml"
 
 
 def _plain(name: str | Path) -> str:

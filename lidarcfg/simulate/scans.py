@@ -6,12 +6,14 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg import maths
 from lidarcfg.clouds.cloud import PointCloud, concatenate
-from lidarcfg.geometry import Array, Bytes, Times
+from lidarcfg.geometry import Array, Times
 from lidarcfg.inputs import check_memory
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Firings
@@ -171,7 +173,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     return firing, cloud
 
 
-def beam_ends(sensor: Sensor, laser: Bytes, encoder_rad: Array, range_m: Array) -> Array:
+def beam_ends(sensor: Sensor, laser: NDArray[np.integer[Any]], encoder_rad: Array, range_m: Array) -> Array:
     """(N, 3) the ends of the beams in the sensor's frame."""
     azimuth_rad = encoder_rad + sensor.azimuth_offset_rad[laser]
     elevation_rad = sensor.elevation_rad[laser]

@@ -11,6 +11,7 @@ from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.inputs import check_memory
+from lidarcfg.report.canvas import spread
 from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.viewer.bodies import base_area_m, base_discs_m, faces, score
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
 
 SIZE = (1920, 1080)
 PIXEL_BYTES = 22  # of memory to draw one, measured
+LETTER = 0.62  # the mean width of a letter in sizes of its text
+LINE = 1.3  # the height of a line
+DOT = 16.0  # pixels of a sensor's dot in a picture of 626 rows
 BAND = 256  # rows of pixels that labels and lines are blended into at a time
 NEAR_M = 0.05
 GROUND_M = 200.0  # of the ground, to each side of the vehicle
@@ -285,7 +289,9 @@ def _draw_mounts(axes: "Axes", contents: Contents, camera: Camera, width: int, h
         return 0
     ground_m = _center(contents)[0][2]
     size = height / 626
-    for i, mount in enumerate(mounts):
+    places: list[tuple[float, float]] = []
+    names: list[str] = []
+    for mount in mounts:
         at = np.array(mount.position_m)
         T = mount.T_vehicle_sensor
         lines = np.stack(
@@ -297,18 +303,25 @@ def _draw_mounts(axes: "Axes", contents: Contents, camera: Camera, width: int, h
             continue
         seen += 1
         axes.plot(x, y, "o", color=shown[mount.name], ms=3 + 8 * size, mec="w", mew=0.8 + size)
-        axes.annotate(
-            truncate(mount.name),
-            (x[0], y[0]),
-            (0, (26 + 22 * (i % 2)) * size),
-            textcoords="offset points",
-            ha="center",
-            color="w",
-            fontsize=5 + 5 * size,
-            parse_math=False,
-            annotation_clip=True,
-        )
+        places.append((float(x[0]), float(y[0])))
+        names.append(truncate(mount.name))
+    if names:
+        name_mounts(axes, np.array(places), names, size)
     return seen
+
+
+def name_mounts(axes: "Axes", places: Array, names: list[str], size: float) -> None:
+    """Write the sensors' names above their places (n, 2) in pixels, none over another or over a sensor's dot."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    text_pt = 5 + 5 * size
+    line = text_pt * 100 / 72
+    boxes = np.array([(LETTER * len(name) * line, LINE * line) for name in names])
+    dots = np.full((len(names), 2), DOT * size)
+    above = places - (0.0, 26 * size * 100 / 72)
+    corner = np.array([right - left, bottom - top])
+    found = spread(np.concatenate([places, above]), np.concatenate([dots, boxes]), np.zeros(2), corner)[len(names) :]
+    for (x, y), name in zip(found.tolist(), names, strict=True):
+        axes.text(x, y, name, ha="center", va="center", color="w", fontsize=text_pt, parse_math=False, clip_on=True)
 
 
 def _text_pt(picture_height: int) -> float:

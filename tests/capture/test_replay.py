@@ -16,6 +16,7 @@ from lidarcfg.capture.pcap import Datagram
 from lidarcfg.capture.replay import read_selected, repeat, replay
 from lidarcfg.capture.selection import Selection
 from lidarcfg.errors import PacketError
+from tests.capture_fixtures import write_datagrams
 from tests.command_line import lidarcfg, started
 
 AT_NS = 1_767_225_600 * 10**9
@@ -139,3 +140,25 @@ def test_ctrl_c_ends_a_loop_and_says_what_was_sent(tmp_path):
         assert running.returncode == 0
     else:  # it had not begun
         assert running.returncode == 130, err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has all of 127.0.0.0/8")
+def test_each_sensor_has_an_address_of_its_own(tmp_path):
+    """As the receiving socket sees it: two sensors on one port can be told apart."""
+    hosts = ["192.168.1.201", "192.168.1.202", "192.168.1.201", "10.168.1.201"]
+    sent = [Datagram(i * 1000, host, 2368, 2368, bytes([i])) for i, host in enumerate(hosts)]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5)
+        done = replay(sent, "127.0.0.1", receiver.getsockname()[1])
+        got = {data[0]: address for data, (address, _) in (receiver.recvfrom(10) for _ in sent)}
+    assert got == {0: "127.168.1.201", 1: "127.168.1.202", 2: "127.168.1.201", 3: "127.0.0.1"}
+    assert done.sources == {"192.168.1.201": "127.168.1.201", "192.168.1.202": "127.168.1.202", "10.168.1.201": ""}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has all of 127.0.0.0/8")
+def test_where_a_sensor_cannot_have_its_address_it_is_told(tmp_path):
+    write_datagrams(tmp_path / "p.pcap", [Datagram(0, f"{i}.0.113.1", 2368, 2368, b"x") for i in (203, 10)])
+    done = lidarcfg("replay", tmp_path / "p.pcap", "localhost:9")
+    assert "203.0.113.1 sent from 127.0.113.1" in done.stdout
+    assert "10.0.113.1: not addresses of this machine, so their datagrams came from its own" in done.stderr

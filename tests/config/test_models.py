@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import re
 import stat
 import sys
 from typing import Annotated, ClassVar
@@ -12,10 +13,10 @@ from hypothesis import strategies as st
 from pydantic import Field, ValidationError
 
 from lidarcfg.config.models import ERROR_MESSAGES, Model, Section, load, loads, nested_models
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import MANY, ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.placement.study_file import StudyFile
-from lidarcfg.sensors.rig import RigFile
+from lidarcfg.sensors.rig import RigFile, load_rig
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene_file import SceneFile
@@ -217,3 +218,60 @@ def test_a_section_is_checked_by_its_owner(tmp_path):
             Section(values, path, ("part",)).checked(Part)
         assert str(error.value).startswith(f"{where}part.size_m: 'wide'")
     assert Section({"size_m": 2.0}, "", ("part",)).checked(Part).size_m == 2
+
+
+SEVERAL = """\
+name: r
+sensors:
+  - {name: left, model: vlp-16, position_m: [0.3, 0.5], rpm: -2, colour: red, pos: 1}
+  - {name: right, model: vlp-16, position_m: [0.3, a, 1.9], realism: 3}
+  - {model: vlp-16, position: [0.3, 1, 1.9]}
+"""
+
+
+def test_all_errors_of_a_file_are_told_at_once(tmp_path):
+    """By the places of a text in which each mistake was made by hand; a missing key that a misspelled one means is not."""
+    with pytest.raises(ConfigError) as caught:
+        loads(SEVERAL, RigFile, "r.yaml")
+    lines = str(caught.value).split("\n")
+    told = [re.match(r"r.yaml:(\d+):\d+: sensors\[(\d)\]\.([a-z_]+)", line).groups() for line in lines]
+    assert sorted(told) == [
+        ("3", "0", "colour"),
+        ("3", "0", "pos"),
+        ("3", "0", "position_m"),
+        ("3", "0", "rpm"),
+        ("4", "1", "position_m"),
+        ("4", "1", "realism"),
+        ("5", "2", "name"),
+        ("5", "2", "position"),
+    ]
+    assert len(caught.value.others) == 7
+
+
+def test_of_very_many_errors_the_number_is_told():
+    with pytest.raises(ConfigError) as caught:
+        loads("name: r\nsensors: [" + "{}, " * 40 + "]\n", RigFile, "r.yaml")
+    lines = str(caught.value).split("\n")
+    assert len(lines) == MANY + 1
+    assert lines[-1] == f"and {80 - MANY} more mistakes"
+
+
+def test_errors_that_no_model_finds_are_told_at_once_too(tmp_path):
+    path = tmp_path / "r.yaml"
+    mounts = ["a, model: vlp17", "b, model: vlp-16, rpm: 5000", "c, model: zebra"]
+    path.write_text("name: r\nsensors:\n" + "".join(f"  - {{name: {one}, position_m: [0, 0, 2]}}\n" for one in mounts))
+    with pytest.raises(ConfigError) as caught:
+        load_rig(path)
+    lines = str(caught.value).split("\n")
+    assert [line.split(": ")[1] for line in lines] == ["sensors[0].model", "sensors[1].rpm", "sensors[2].model"]
+    assert "'vlp17'; did you mean" in lines[0]
+    assert "allowed: 300 to 1200" not in lines[1]
+    assert all("helios" not in line for line in lines)  # the catalogue is listed when asked for
+
+
+def test_errors_of_a_file_within_another_are_one_line(tmp_path):
+    (tmp_path / "s.yaml").write_text("name: s\nbeams: 3\nmaker: 4\n")
+    (tmp_path / "r.yaml").write_text("name: r\nsensors:\n  - {name: a, model: s.yaml, position_m: [0, 0, 2]}\n")
+    with pytest.raises(ConfigError, match=r"beams: 3 is not a map of keys; .*maker: 4 is not a text") as caught:
+        load_rig(tmp_path / "r.yaml")
+    assert "\n" not in str(caught.value)

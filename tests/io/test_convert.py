@@ -46,7 +46,7 @@ def test_help_lists_every_conversion():
         assert form.name in re.split(r"[\s.,:]+", table)
         assert not form.suffix or form.suffix in table.split()
     for suffixes in INPUTS.values():
-        assert all(suffix in table.split() for suffix in suffixes)
+        assert all(suffix in re.split(r"[\s,]+", table) for suffix in suffixes)
     assert "lidarcfg convert" in example
 
 
@@ -66,6 +66,11 @@ def test_help_lists_every_conversion():
         ("p.pcap", "a.mcap", None, "mcap"),
         ("p.pcap", "a.npz", None, "firings"),
         ("p.pcapng", "a.npz", None, "firings"),
+        ("k.urdf", "a.yaml", None, "rig"),
+        ("k.yaml", "a.yml", None, "rig"),
+        ("k.json", "a.yaml", None, "rig"),
+        ("calib.txt", "a.yaml", None, "rig"),
+        ("k.mcap", "a.yaml", None, "rig"),
     ],
 )
 def test_which_format_is_meant(source, output, name, meant):
@@ -79,10 +84,10 @@ def test_which_format_is_meant(source, output, name, meant):
         (("c.ply", "-o", "a.urdf"), "a cloud does not convert to 'a.urdf'; allowed: .ply, .pcd, .npz, .las, .laz, .bin; or say which with --to"),
         (("c.ply", "-o", "bag"), "a cloud does not convert to 'bag'; allowed: .ply, .pcd, .npz, .las, .laz, .bin; or say which with --to"),
         (("p.pcap", "-o", "a.ply"), "a capture does not convert to 'a.ply'; allowed: .mcap, .bag, .npz, or a folder, which has no suffix; or say which with --to; lidarcfg decode turns it into a cloud"),
-        (("roof.yaml", "-o", "a.urdf", "--to", "las"), "a rig does not convert to las; allowed: urdf, launch, carla, nuscenes"),
-        (("roof.yaml", "-o", "a.urdf", "--to", "gazebo"), "a rig does not convert to gazebo; allowed: urdf, launch, carla, nuscenes"),
+        (("roof.yaml", "-o", "a.urdf", "--to", "las"), "a rig does not convert to las; allowed: urdf, launch, carla, nuscenes, crop-box, azimuth-windows"),
+        (("roof.yaml", "-o", "a.urdf", "--to", "gazebo"), "a rig does not convert to gazebo; allowed: urdf, launch, carla, nuscenes, crop-box, azimuth-windows"),
         (("roof.yaml", "-o", "a.json", "--to", "urdf"), "a.json: does not end in .urdf, as urdf does"),
-        (("notes.txt", "-o", "a.urdf"), "notes.txt: not a rig, a cloud or a capture by its suffix; rig: .yaml .yml .json; cloud: .ply .pcd .npz .las .laz .bin; capture: .pcap .pcapng"),
+        (("notes.doc", "-o", "a.urdf"), "notes.doc: not a rig, a kit, a bag, a cloud or a capture by its suffix; rig: .yaml .yml .json; kit: .urdf .xacro .xml .yaml .yml .json .txt; bag: .bag .mcap .db3; cloud: .ply .pcd .npz .las .laz .bin; capture: .pcap .pcapng"),
         (("none.yaml", "-o", "a.urdf"), "none.yaml: no such file or directory"),
         (("none.las", "-o", "a.ply"), "none.las: no such file or directory"),
         (("none.pcap", "-o", "a.mcap"), "none.pcap: no such file or directory"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.detection import DetectionObject, detection, detection_by_distance
+from lidarcfg.placement.detection import DetectionObject, detection, detection_by_distance, from_point
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.report_inputs import beams_across, coverage, ring_edges_m
 from lidarcfg.placement.study import load_study
@@ -77,7 +77,7 @@ def test_rings_against_plain_loops(size, threshold, on_ground):
                 if -1 not in touched:
                     places[ring] += 1
                     detected[ring] += len(touched) > threshold
-    found = detection_by_distance(SPACES, item, centre, edges)
+    found = detection_by_distance(SPACES, item, from_point(centre), edges)
     assert (found.detected.tolist(), found.places.tolist()) == (detected, places)
     whole = detection(SPACES, item)
     assert found.places.sum() == whole.places
@@ -89,12 +89,12 @@ def test_rings_of_places_drawn():
     """All rings together are what `detection` counts; a ring that holds no place has no rate; beyond is left out."""
     item = DetectionObject(name="o", size_m=(0.8, 0.4, 0.4), threshold=2, samples=2**12)
     centre = np.array([3.0, 2.0])
-    found = detection_by_distance(SPACES, item, centre, np.array([0.0, 1.0, 2.0, 9.0, 10.0]))
+    found = detection_by_distance(SPACES, item, from_point(centre), np.array([0.0, 1.0, 2.0, 9.0, 10.0]))
     whole = detection(SPACES, item)
     assert found.places.sum() == whole.places
     assert found.detected.sum() / found.places.sum() == pytest.approx(whole.rate, abs=whole.half_width)
     assert np.isnan(found.rate[3])
-    inner = detection_by_distance(SPACES, item, centre, np.array([0.0, 1.0, 2.0]))
+    inner = detection_by_distance(SPACES, item, from_point(centre), np.array([0.0, 1.0, 2.0]))
     assert inner.places.tolist() == found.places[:2].tolist()
 
 
@@ -102,7 +102,7 @@ def test_rings_of_places_drawn():
 def test_few_rings_hold_the_whole_region(size_m):
     region = Region.from_boxes((-size_m, 0, 0), (size_m / 2, size_m, 1), (size_m / 2, size_m, 1))
     centre = np.array([size_m / 4, size_m / 3])
-    edges = ring_edges_m(region, centre)
+    edges = ring_edges_m(region, from_point(centre))
     assert 2 <= len(edges) - 1 <= 12
     assert edges[0] == 0
     assert edges[-1] > math.hypot(1.25 * size_m, 2 / 3 * size_m) >= edges[-2] - 1e-9

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from lidarcfg.placement.detection import DetectionObject, counted_places, gap_fit
+from lidarcfg.placement.detection import DetectionObject, counted_places, from_point, gap_fit
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Subspaces
 
@@ -49,10 +49,10 @@ def test_every_place_tried_out(seed, size_m, on_ground):
     label = np.repeat(np.repeat(rng.integers(-1, 5, (3, 4, 2)), 2, axis=0), 2, axis=1)
     vsr, vehicle = rng.random(5), np.array([2.0, 1.5])
     item = DetectionObject(name="box", size_m=size_m, on_ground=on_ground)
-    ours = gap_fit(labelled(label, cuboid_m), vsr, item, vehicle)
+    ours = gap_fit(labelled(label, cuboid_m), vsr, item, from_point(vehicle))
     if size_m[0] <= 6.0:  # what was counted for the detection rate tells the same
         counted = counted_places(labelled(label, cuboid_m), item)
-        assert gap_fit(labelled(label, cuboid_m), vsr, item, vehicle, counted) == ours
+        assert gap_fit(labelled(label, cuboid_m), vsr, item, from_point(vehicle), counted) == ours
     found, places = tried(label, size_m, cuboid_m, on_ground)
     assert (ours.subspaces, ours.in_worst) == (len(found), int(np.argmax(vsr)) in found)
     assert (ours.nearest_m is None) == (not found)
@@ -69,7 +69,7 @@ def test_a_slab_above_a_pedestrian():
     label = np.where(label[2] >= 2, 0, 1 + label[0] + 4 * label[1] + 16 * label[2])
     spaces, vsr = labelled(label), np.where(np.arange(64) == 0, 1.0, 0.1)
     standing, flying = (
-        gap_fit(spaces, vsr, DetectionObject(name="p", size_m=(0.5, 0.5, 1.7), on_ground=on), np.zeros(2))
+        gap_fit(spaces, vsr, DetectionObject(name="p", size_m=(0.5, 0.5, 1.7), on_ground=on), from_point(np.zeros(2)))
         for on in (True, False)
     )
     assert (standing.in_worst, standing.subspaces, standing.nearest_m) == (False, 0, None)
@@ -79,4 +79,4 @@ def test_a_slab_above_a_pedestrian():
 
 def test_a_mesh_is_not_judged():
     item = DetectionObject(name="m", mesh="x.ply", returns=1)
-    assert gap_fit(labelled(np.zeros((2, 2, 2))), np.ones(1), item, np.zeros(2)) is None
+    assert gap_fit(labelled(np.zeros((2, 2, 2))), np.ones(1), item, from_point(np.zeros(2))) is None

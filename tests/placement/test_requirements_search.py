@@ -6,6 +6,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
+from lidarcfg.placement.achievable import unachievable
 from lidarcfg.placement.cheapest import cheapest
 from lidarcfg.placement.combinations import distinct_options, options
 from lidarcfg.placement.optimize import optimize
@@ -19,6 +20,7 @@ from lidarcfg.placement.requirements_evaluator import (
 )
 from lidarcfg.placement.search_run import INFEASIBLE
 from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.placement.sweep import Processes
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.sensors import lowest_at
 from lidarcfg.requirements.trials import RigTrials
@@ -255,3 +257,35 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
         assert found.placement.verdict.shortfall > 0
         assert [tried.too_dear for tried in found.tried].count(True) == 1  # two VLP-32C
     assert isinstance(one.requirements, Requirements)
+
+
+def test_what_no_rig_can_meet_is_said(study):
+    """A slit closed by the far wall, a zone beyond the range, and a budget below the cheapest rig."""
+    assert unachievable(study(SLIT)) == {}
+    walled = study(
+        SLIT.replace(
+            "center_m: [5.7, 2.5, 1.5], size_m: [8.6, 0.2, 3]", "center_m: [5, 2.5, 1.5], size_m: [10, 0.2, 3]"
+        )
+    )
+    assert "hidden from all" in unachievable(walled)["behind the slit"]
+    near = study(SLIT.replace("model: vlp-16", "model: vlp-16\n    range_m: [0.5, 3]"))
+    assert "no range exceeds 3 m" in unachievable(near)["behind the slit"]
+    dear = study(CHOICE.replace("RETURNS", "10").replace("13000", "3999"))
+    assert unachievable(dear) == {"budget": "the cheapest rig costs 4,000"}
+
+
+def test_workers_find_the_same(study):
+    """Processes stand for a cluster's workers."""
+    one = study(CHOICE.replace("RETURNS", "300"))
+    alone = cheapest(one, threads=2)
+    workers = Processes(2)
+    try:
+        found = cheapest(one, workers=workers)
+    finally:
+        workers.close()
+    assert found.combination.name == alone.combination.name
+    assert found.placement.rig == alone.placement.rig
+    assert found.placement.verdict == alone.placement.verdict
+    assert [each for each in found.tried if each.price < alone.combination.price] == [
+        each for each in alone.tried if each.price < alone.combination.price
+    ]

@@ -49,9 +49,9 @@ def test_beside_a_search_and_an_evaluation(folder):
     )
     base = result["baseline"]
     assert (base["file"], base["rig"]) == ("hand.yaml", alone["rig"])
-    assert {
-        key: base[key] for key in ("max_vsr_m", "worst", "detection", "seen_by_m3", "blind_spots", "robustness")
-    } == {key: alone[key] for key in ("max_vsr_m", "worst", "detection", "seen_by_m3", "blind_spots", "robustness")}
+    assert {key: base[key] for key in ("max_vsr_m", "worst", "detection", "seen_by_m3", "shadow", "robustness")} == {
+        key: alone[key] for key in ("max_vsr_m", "worst", "detection", "seen_by_m3", "shadow", "robustness")
+    }
     page = read((folder / "out/report.html").read_text())
     ours, theirs = result["worst"][0], base["worst"][0]
     for key in ("vsr_m", "volume_m3", "surface_m2"):
@@ -59,8 +59,8 @@ def test_beside_a_search_and_an_evaluation(folder):
         less = round(ours[key], digits) - round(theirs[key], digits)
         assert f"{less:+z,.{digits}f}" in page.words
     rate, other = result["detection"]["person"], base["detection"]["person"]
-    assert f"person {rate:.4f} exact" in page.words
-    assert f"baseline {other:.4f} exact" in page.words
+    assert f"person {rate:.4f} {result['detection_places']['person']:,} places, " in page.words
+    assert f"baseline {other:.4f} {base['detection_places']['person']:,} places, " in page.words
     assert f"difference {round(rate, 4) - round(other, 4):+z.4f}" in page.words
     assert "the rig in hand.yaml" in page.words
     assert page.words.count("below each row, the baseline's") == 9  # all but that of a LiDAR lost: it has one

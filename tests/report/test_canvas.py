@@ -1,11 +1,18 @@
 """Numbers in drawings: none over another, each as near to its place as may be."""
 
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.study import load_study
 from lidarcfg.report.canvas import drawing, number_places, spread
+from lidarcfg.report.plots import draw_rig
+from lidarcfg.sensors.rig import load_rig
+
+ROOT = Path(__file__).parents[2]
 
 LOW, HIGH = np.zeros(2), np.array([100.0, 60.0])
 
@@ -44,3 +51,19 @@ def test_only_what_is_moved_has_a_line_to_its_place():
 
     svg = drawing("x", 3.0, "three numbers", draw)
     assert [f"stroke: {code}" in svg for code in ("#111111", "#222222", "#333333")] == [False, True, False]
+
+
+def test_the_drawing_of_a_rig_has_the_body_and_not_its_cuboids():
+    """The outline of what is grey is the mesh's own, seen from the top, the side and the front."""
+    study = load_study(ROOT / "data/studies/sedan.yaml")
+    rig = load_rig(ROOT / "data/rigs/roof.yaml")
+    figure = draw_rig(study, rig, evaluate(study, rig))
+    vertices = study.vehicle.scene.mesh()[0]
+    for axes, (across, up) in zip(figure.axes, ((0, 1), (0, 2), (1, 2)), strict=True):
+        (body,) = (one for one in axes.collections if one.get_rasterized())
+        drawn = np.concatenate([path.vertices for path in body.get_paths()])
+        for axis, column in ((across, 0), (up, 1)):
+            assert drawn[:, column].min() == pytest.approx(vertices[:, axis].min())
+            assert drawn[:, column].max() == pytest.approx(vertices[:, axis].max())
+        grey = axes.images[0].get_array()
+        assert not grey[..., 3].any()

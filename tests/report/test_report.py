@@ -210,11 +210,11 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
     page, result = read((tmp_path / "o/report.html").read_text()), json.loads((tmp_path / "o/result.json").read_text())
     assert "the vehicle (cab)" in page.words
     total = sum(result["seen_by_m3"])
-    assert result["blind_volume_m3"] == result["seen_by_m3"][0] > 0
+    assert result["shadow_volume_m3"] == result["seen_by_m3"][0] > 0
     for n, volume in enumerate(result["seen_by_m3"]):
         assert f"{n} {volume:,.2f} {volume / total:.2%}" in page.words
-    assert [one["height_m"] for one in result["blind_spots"]] == [0.25, 0.5, 1.0]
-    for one in result["blind_spots"]:
+    assert [one["height_m"] for one in result["shadow"]] == [0.25, 0.5, 1.0]
+    for one in result["shadow"]:
         assert one["largest_m"] == max(distance for distance in one["distance_m"] if distance is not None) > 0
         edge = "≥ " if one["reaches_edge"][int(one["largest_at_deg"])] else ""
         assert f"{edge}{one['largest_m']:.2f} at {one['largest_at_deg']:.0f}°" in page.words
@@ -225,11 +225,11 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
         read((tmp_path / "c/compare.html").read_text()),
         json.loads((tmp_path / "c/compare.json").read_text()),
     )
-    blind = [one["blind_volume_m3"] for one in values["rigs"]]
+    blind = [one["shadow_volume_m3"] for one in values["rigs"]]
     assert blind[0] != blind[1]
-    assert values["best"]["blind volume (m³)"] == ["AB"[blind.index(min(blind))]]
-    assert f"blind volume (m³) {blind[0]:.2f} {blind[1]:.2f}" in page.words
-    assert "the blind-spot contours of each rig" in [label for _, label in page.labels]
+    assert values["best"]["shadow (m³)"] == ["AB"[blind.index(min(blind))]]
+    assert f"shadow (m³) {blind[0]:.2f} {blind[1]:.2f}" in page.words
+    assert "the contours of the shadow of each rig" in [label for _, label in page.labels]
 
 
 def test_an_evaluation_without_objects(tmp_path):
@@ -325,7 +325,7 @@ def test_no_angle_is_minus_nothing(tmp_path, capsys):
     )
     assert mounts_table(load_rig(rig)).rows[0][4:9] == ["0.000", "1.000", "2.000", "-1.00", "0.00"]
     study = make(tmp_path, STUDY)
-    print_evaluation(load_rig(rig), evaluate(study, load_rig(rig)))
+    print_evaluation(study, load_rig(rig), evaluate(study, load_rig(rig)))
     assert " -0.00" not in capsys.readouterr().out
 
 

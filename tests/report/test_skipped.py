@@ -105,8 +105,9 @@ def test_a_sampled_rate_of_exactly_one_is_not_exact(tmp_path):
     assert rate.half_width == 1 - 0.05 ** (1 / rate.places)
     assert (1 - rate.half_width) ** rate.places == pytest.approx(0.05)
     rows = {row[0]: row for row in _detection(study, found).rows}
-    assert rows["drawn"][2] == f"± {rate.half_width:.4f}"
-    assert rows["child"][2] == "exact"
+    assert rows["drawn"][2] == f"± {rate.half_width:.4f}, {rate.places} drawn places"
+    assert rows["child"][2].startswith(f"{found.detection['child'].places:,} places, ")
+    assert "exact" not in rows["child"][2]
     assert found.detection["child"].half_width == 0.0
 
 

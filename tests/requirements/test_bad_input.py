@@ -131,11 +131,11 @@ def test_heights_and_radians_are_warned_of(tmp_path):
     assert "headings_deg: 1.5708 looks like 90° in radians; give degrees" in lidarcfg("validate", path).stderr
     path = study(tmp_path, "sensors_at_most: 2")
     assert (
-        "sensors[0].position_m[2]: -0.2 is 0.2 m below the ground"
+        "sensors[0].position_m[2]: this is 0.2 m below the ground"
         in lidarcfg("verify", path, rig(tmp_path, "-0.2")).stderr
     )
     assert "rig.yaml:3:" in (said := lidarcfg("verify", path, rig(tmp_path, "50")).stderr)
-    assert "50 is 50 m above the ground" in said
+    assert "this is 50 m above the ground" in said
 
 
 def test_a_file_of_requirements(tmp_path):
