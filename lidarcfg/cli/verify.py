@@ -16,7 +16,8 @@ NOT_MET = 3  # the exit code if a requirement is not met
     epilog="""
     \b
     Example:
-      lidarcfg verify data/studies/sedan-requirements.yaml data/rigs/roof.yaml --junit out/verdict.xml
+      lidarcfg verify data/studies/sedan-requirements.yaml \\
+          data/rigs/roof.yaml --junit out/verdict.xml
     """
 )
 @cloup.argument("study", type=FILE, help="YAML: the requirements, and the vehicle.")
