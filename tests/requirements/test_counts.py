@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.requirements.objects import reached
-from lidarcfg.requirements.sensors import KeptCounts, lowest_at, poses_of, scanners_of
+from lidarcfg.requirements.sensors import KeptCounts, lowest_at, poses_of, scanners_of, united
 from lidarcfg.simulate.returns import Target, returns
 from tests.naive import requirements as naive
 from tests.returns_cases import box, mount
@@ -58,3 +58,15 @@ def test_only_sensors_that_moved_are_cast(monkeypatch):
     assert second.counts.tolist() == lowest_at(where, target, moved, around, 1000, len(MOUNTS)).counts.tolist()
     more = kept.lowest(MOUNTS, 5000, len(MOUNTS))
     assert more.counts.tolist() == lowest_at(where, target, MOUNTS, around, 5000, len(MOUNTS)).counts.tolist()
+
+
+def test_counts_that_requirements_share_are_those_of_each_alone():
+    target, where, around = Target(box(0.4, 0.4, 1.1)), places(), obstacles(BODY)
+    groups = where[:40], where[20:][::-1]
+    every, numbers = united(groups)
+    assert len(every) == len(where)
+    kept = KeptCounts(every, target, around)
+    for group, which in zip(groups, numbers, strict=True):
+        assert every[which].tolist() == group.tolist()
+        alone = lowest_at(np.ascontiguousarray(group), target, MOUNTS, around, 5000, len(MOUNTS))
+        assert kept.lowest(MOUNTS, 5000, len(MOUNTS), which=which).counts.tolist() == alone.counts.tolist()

@@ -1,11 +1,14 @@
 """`lidarcfg verify`: a line a requirement, and exit codes that scripts can use."""
 
 import json
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from tests.command_line import lidarcfg
+
+ROOT = Path(__file__).parents[2]
 
 STUDY = """
 region: {min_m: [-10, -10, 0], max_m: [10, 10, 4], cuboid_m: [1, 1, 1]}
@@ -54,3 +57,14 @@ def test_pass_and_fail(files, tmp_path):
     done = lidarcfg("verify", *files(int(reached) + 1, 7999), code=3)
     assert done.stdout.count("FAIL") == 3
     assert "2 of 2 requirements are not met" in done.stdout
+
+
+def test_the_bus_that_comes_along_meets_its_requirements(request):
+    """Its files say so."""
+    if not request.config.getoption("--nightly"):
+        pytest.skip("takes half a minute; asked for by --nightly")
+    done = lidarcfg("verify", ROOT / "data/studies/bus.yaml", ROOT / "data/rigs/bus.yaml", "--json")
+    found = {one["name"]: one["reached"] for one in json.loads(done.stdout)["requirements"]}
+    assert done.returncode == 0
+    assert found["child around the bus"] == 10
+    assert found["child near the bus with a sensor lost"] == 14
