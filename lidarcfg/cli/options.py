@@ -63,13 +63,12 @@ class Factor(PositiveNumber):
         return super().convert(value.rstrip("xX×") if isinstance(value, str) else value, param, ctx)
 
 
-class Seconds(click.FloatRange):
+class Seconds(click.types.FloatParamType):
     """A time in seconds, or with a unit: 1, 1s, 500 ms, 2 min."""
 
     name = "seconds"
 
     def __init__(self, most: float = math.inf, signed: bool = False) -> None:
-        super().__init__()
         self._most = most
         self._signed = signed  # zero, negative and infinite ones too
 

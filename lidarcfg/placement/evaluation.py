@@ -64,6 +64,7 @@ class Evaluation:
     robustness: Robustness | None = None  # where it was asked for, and is cheap
     posts: tuple[PostVisibility, ...] = ()  # where posts of HEIGHTS_M are seen, where that was asked for and is known
     verdict: Verdict | None = None  # of a study with requirements
+    verifier: Verifier | None = None  # that reached it, if it was reached here: it knows the rig's counts
 
     @property
     def max_vsr_m(self) -> float:
@@ -105,8 +106,10 @@ def evaluate(
     rates = _rates(study, subspaces, seen, counted)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
     zones = max_vsr_by_zone(study.zones, subspaces)
+    verifier = None
     if study.requirements and verdict is None:
-        verdict = Verifier(study.requirements).verify(rig.mounts)
+        verifier = Verifier(study.requirements)
+        verdict = verifier.verify(rig.mounts)
     seconds = time.perf_counter() - started
     return Evaluation(
         subspaces=subspaces,
@@ -122,6 +125,7 @@ def evaluate(
         analytic=converged,
         seconds=seconds,
         verdict=verdict,
+        verifier=verifier,
     )
 
 

@@ -122,8 +122,8 @@ class ReportInputs:
     verification: Verification | None = None  # of a study with requirements
 
     def without_cuboids(self) -> "ReportInputs":
-        """A copy without the arrays of cuboids, to save memory where several rigs are compared."""
-        found = replace(self.evaluation, subspaces=self.evaluation.subspaces.without_cuboids())
+        """A copy without the arrays of cuboids and places, to save memory where several rigs are compared."""
+        found = replace(self.evaluation, subspaces=self.evaluation.subspaces.without_cuboids(), verifier=None)
         return replace(self, evaluation=found)
 
 
@@ -147,7 +147,7 @@ def report_inputs(
     found = replace(found, robustness=robustness(study, rig))
     verified = None
     if study.requirements and found.verdict:
-        shown = evidence(Verifier(study.requirements), rig.mounts, found.verdict)
+        shown = evidence(found.verifier or Verifier(study.requirements), rig.mounts, found.verdict)
         verified = Verification(found.verdict, shown)
     found = replace(found, posts=_posts(study, rig))
     subspaces = found.subspaces

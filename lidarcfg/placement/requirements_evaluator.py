@@ -31,8 +31,13 @@ SLICE_MOST = 1000
 
 
 def cost_of(shortfall: float, wanted: float) -> float:
-    """The cost of a rig: its shortfall, or if that is 0 what else is minimised, which is at least 0."""
-    return min(shortfall, SHORTFALL_MOST) if shortfall > 0 else wanted * MET_SCALE
+    """The cost of a rig: its shortfall, or if that is 0 what else is minimised, which is at least 0.
+
+    inf where the one or the other is, as of trials that are given up.
+    """
+    if shortfall > 0:
+        return min(shortfall, SHORTFALL_MOST) if math.isfinite(shortfall) else math.inf
+    return wanted * MET_SCALE
 
 
 def meets(cost: float) -> bool:
@@ -120,7 +125,7 @@ class RequirementsEvaluator:
             bound = limits[met]
             beaten = np.where(bound < MET_MOST, bound / MET_SCALE, np.inf)
             wanted = self._objective.costs(poses[met], source[met], source_poses, beaten) if len(met) else np.empty(0)
-            cost[met] = np.where(wanted < np.inf, wanted * MET_SCALE, np.inf)
+            cost[met] = [cost_of(0.0, one) for one in wanted.tolist()]
         self._judge.learn()
         self.trials += len(poses)
         self._seconds += time.perf_counter() - began
@@ -135,8 +140,6 @@ class RequirementsEvaluator:
     def _cost(self, rig: Draws, limit: float) -> float:
         """The cost of a rig by shortfalls and margin; 0 if it meets all and there is an objective."""
         shortfall = self._judge.shortfall(rig, limit)
-        if shortfall > 0:
-            return min(shortfall, SHORTFALL_MOST) if math.isfinite(shortfall) else math.inf
-        if self._objective:
-            return 0.0
-        return self._judge.tightness(rig, limit / MET_SCALE if limit < MET_MOST else math.inf) * MET_SCALE
+        if shortfall > 0 or self._objective:
+            return cost_of(shortfall, 0.0)
+        return cost_of(0.0, self._judge.tightness(rig, limit / MET_SCALE if limit < MET_MOST else math.inf))

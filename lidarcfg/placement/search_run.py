@@ -25,6 +25,7 @@ INFEASIBLE = 1e6  # cost of a rig that violates the constraints, times 1 + the v
 
 
 AT_BOUND = 1e-6  # metres and radians from it
+TURN = 2 * math.pi - AT_BOUND
 
 
 @dataclass(frozen=True)
@@ -315,7 +316,8 @@ class SearchRun:
 def at_bounds(study: Study, poses: Array) -> tuple[str, ...]:
     """The coordinates of poses (slots, 6) that could vary and are at a bound: each with its sensor and the bound."""
     found = []
-    for i, k in np.argwhere(study.free).tolist():
+    bounded = (study.upper - study.lower < TURN) | (np.arange(len(COORDINATES)) < 3)  # a free turn has no end
+    for i, k in np.argwhere(study.free & bounded).tolist():
         for bound, end in ((study.lower[i, k], "least"), (study.upper[i, k], "most")):
             if abs(poses[i, k] - bound) <= AT_BOUND:
                 value = f"{math.degrees(bound):.6g}°" if k >= 3 else f"{bound:.6g} m"

@@ -76,7 +76,7 @@ class Study:
     @property
     def is_max_vsr(self) -> bool:
         """Whether max VSR of the whole rig, and nothing else, is what a search minimises."""
-        return self.objective.is_max_vsr and self.robust is None and not self.zones
+        return self.objective.is_max_vsr and self.robust is None and not self.zones and not self.seeks_margin
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:

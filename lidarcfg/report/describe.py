@@ -156,7 +156,9 @@ def _by_returns(item: DetectionObject) -> str:
 
 
 def describe_objective(study: Study) -> str:
-    """The quantity that the search minimises."""
+    """The quantity that the search minimises, or widens."""
+    if study.seeks_margin:
+        return "the least margin of the requirements, as a part of what each demands, as large as it can be"
     return "; ".join([_describe_terms(study), *_describe_robust(study)])
 
 
@@ -196,9 +198,19 @@ def _describe_terms(study: Study) -> str:
     return "the weighted mean of " + ", ".join(terms)
 
 
+def cost_label(study: Study) -> str:
+    """What the costs of a search are, on an axis: lower is better."""
+    value = "max VSR (m)" if study.is_max_vsr else "objective"
+    if study.seeks_margin:
+        value = "1 / (1 + least margin)"
+    return f"shortfall, then {value}" if study.requirements else value
+
+
 def describe_skips(study: Study) -> str:
     """When a search stops evaluating a trial early."""
     wanted = study.objective
+    if study.requirements:
+        return "A trial ends as soon as the places counted so far show that its shortfall is no less than that to beat."
     if study.solver.method == "cmaes":
         return "This solver ranks its trials by their costs, so each is evaluated in full."
     if wanted.is_max_vsr:

@@ -194,7 +194,9 @@ def _summary(study: Study, details: ReportInputs, placement: Placement | None = 
     at = f"at {vector(worst.centroid_m, '.1f')} m"
     largest = f"the largest of {counted(len(found.subspaces), 'subspace')}"
     figures = []
-    if placement and not study.is_max_vsr:
+    if placement and study.seeks_margin:
+        figures.append(KeyFigure("Least margin", f"{placement.objective:+.0%}", "of what is demanded"))
+    elif placement and not study.is_max_vsr:
         figures.append(KeyFigure("Objective", f"{placement.objective:.6f}", describe_objective(study)))
     figures.append(KeyFigure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest))
     if midpoint is not None:

@@ -38,6 +38,7 @@ from lidarcfg.report.canvas import (
     shade_excluded,
     thinned,
 )
+from lidarcfg.report.describe import cost_label
 from lidarcfg.report.plots import COLOURS, history_top
 from lidarcfg.sensors.rig import Rig
 
@@ -62,8 +63,7 @@ def draw_history(study: Study, found: Placement) -> Markup:
         if study.is_max_vsr:
             midpoint = found.midpoint_max_vsr_m
             axes.axhline(midpoint, color="0.4", ls=":", lw=1, label="midpoint of the bounds")
-        value = "max VSR (m)" if study.is_max_vsr else "objective"
-        axes.set(xlabel="evaluations", ylabel=value, ylim=(0, history_top(study, found)))
+        axes.set(xlabel="evaluations", ylabel=cost_label(study), ylim=(0, history_top(study, found)))
         axes.grid(True)
         axes.legend(loc="best")
 

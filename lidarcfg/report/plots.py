@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.files import replacing
+from lidarcfg.report.describe import cost_label
 from lidarcfg.report.text import DRAWN, summarize, truncate
 from lidarcfg.sensors.rig import Rig
 
@@ -61,12 +62,10 @@ def draw_convergence(study: "Study", found: "Placement") -> "Figure":
         midpoint_m = found.midpoint_max_vsr_m
         beyond = f" (above: {midpoint_m:.3f} m)" if top is not None and midpoint_m > top else ""
         axes.axhline(midpoint_m, color="0.5", ls=":", label=f"midpoint of the bounds{beyond}")
-    label = "max VSR (m)" if study.is_max_vsr else "objective"
-    axes.set(xlabel="evaluations", ylabel=label, ylim=(0, top))
-    axes.set_title(
-        f"{truncate(study.name)}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
-        parse_math=False,
-    )
+    axes.set(xlabel="evaluations", ylabel=cost_label(study), ylim=(0, top))
+    how = f"{study.solver.method}, seed {study.solver.seed}"
+    title = f"{truncate(study.name)}: max VSR {found.evaluation.max_vsr_m:.4f} m, {how}"
+    axes.set_title(title, parse_math=False)
     axes.grid(alpha=0.3)
     axes.legend()
     return figure

@@ -56,13 +56,15 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
     sensors = _models(slot.model for slot in study.slots)
     if study.to_choose:
         sensors = f"{len(combinations(study)):,} combinations of sensors"
-    what = "max VSR" if study.objective.is_max_vsr else "a weighted mean"
+    what = "to minimise max VSR" if study.objective.is_max_vsr else "to minimise a weighted mean"
+    if study.seeks_margin:
+        what = "to widen the least margin"
     what += " by zones" * bool(study.zones) + ", with failures or mounting errors" * bool(study.robust)
     count = len(study.requirements.items) if study.requirements else 0
     required = f", {counted(count, 'requirement')}" if count else ""
     text = (
         f"{int(study.region.included.sum()):,} cuboids, {sensors}, "
-        f"{_objects(len(study.detection))}{required}; {search}, to minimise {what}"
+        f"{_objects(len(study.detection))}{required}; {search}, {what}"
     )
     vehicle = study.vehicle.warnings if study.vehicle else ()
     return text, (*vehicle, *study_warnings(path, study))

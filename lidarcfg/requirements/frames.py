@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import core
 from lidarcfg.geometry import Array, inverse, transform
-from lidarcfg.requirements.clusters import largest_cluster
+from lidarcfg.requirements.objects import LOW_M
 from lidarcfg.requirements.scenario import TARGET, Approach
 from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.rig import Mount, Rig
@@ -53,7 +54,7 @@ class TargetReturns:
             return counts
         for frame in np.flatnonzero(counts >= least).tolist():
             points = np.concatenate([self._points[frame][sensor] for sensor in kept])
-            counts[frame] = largest_cluster(points, cluster_m)
+            counts[frame] = core.returns.largest_cluster(points, cluster_m, LOW_M)
         return counts
 
 

@@ -39,7 +39,7 @@ class Sampling:
         """What sampling cannot exclude."""
         near, far = (f"{step:.3g}" for step in self.base_m)
         base = f"{near} m apart near the body, {far} m farther out" if near != far else f"{near} m apart"
-        turn = "" if self.finest_deg is None else f" and {self.finest_deg:.3g}°"
+        turn = "" if not self.finest_deg else f" and {self.finest_deg:.3g}°"
         what = f"{self.places:,} places, {base}, {self.finest_m:.3g} m{turn} around the lowest counts"
         return f"{what}; between them lower counts cannot be excluded"
 

@@ -57,19 +57,3 @@ def shows(speed_m_s, walk_m_s, half_length_m, ahead_m, beside_m, across_m, way_m
             if face < shadow:
                 return distance
         before += 0.005
-
-
-def largest_cluster(points, tolerance):
-    """By spreading from point to neighbour; a cluster wholly below 0.1 m is none."""
-    left, best = set(range(len(points))), 0
-    while left:
-        cluster, fresh = set(), [left.pop()]
-        while fresh:
-            one = fresh.pop()
-            cluster.add(one)
-            near = {n for n in left if math.dist(points[one], points[n]) <= tolerance}
-            left -= near
-            fresh += near
-        if any(points[n][2] >= 0.1 for n in cluster):
-            best = max(best, len(cluster))
-    return best

@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lidarcfg import core
 from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
 from lidarcfg.requirements import frames
 from lidarcfg.requirements.braking import COMFORT, EMERGENCY, Braking
-from lidarcfg.requirements.clusters import largest_cluster
 from lidarcfg.requirements.detection import Rule, ScenarioRun, check_scenario, needed
 from lidarcfg.requirements.file import ObjectFile
 from lidarcfg.requirements.frames import drive_of
+from lidarcfg.requirements.objects import LOW_M
 from lidarcfg.requirements.scenario import Approach, Extent, ScenarioFile, load_scenario, presets
 from lidarcfg.requirements.sight import earliest_sight, places_within
 from lidarcfg.sensors.rig import Rig
@@ -23,6 +24,7 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.boxes import boxed_objects
 from lidarcfg.world.vehicle import load_vehicle
 from tests.naive import scenario as naive
+from tests.naive.requirements import largest_cluster
 from tests.returns_cases import mount
 
 SEDAN = "data/vehicles/sedan.ply"
@@ -227,17 +229,17 @@ def test_skipping_beams_changes_nothing(sedan, monkeypatch):
 def test_clusters():
     """Three in a chain, one apart; low ones are none; beside a search point by point."""
     chain = np.array([[0, 0, 0.5], [0.1, 0, 0.5], [0.2, 0, 0.5], [0.5, 0, 0.5]])
-    assert largest_cluster(chain, 0.15) == 3
-    assert largest_cluster(chain * [1, 1, 0.1], 0.15) == 0
+    assert core.returns.largest_cluster(chain, 0.15, LOW_M) == 3
+    assert core.returns.largest_cluster(chain * [1, 1, 0.1], 0.15, LOW_M) == 0
     rng = np.random.default_rng(5)
     for _ in range(20):
         points = rng.uniform(0, 0.8, (rng.integers(1, 60), 3))
-        assert largest_cluster(points, 0.15) == naive.largest_cluster(points.tolist(), 0.15)
+        assert core.returns.largest_cluster(points, 0.15, LOW_M) == largest_cluster(points.tolist(), 0.15, LOW_M)
     for rows_m in (0.14, 0.16, 0.2):  # scan lines, dense along and sparse across
         lines = [rng.uniform(0, 1.2, 130).cumsum() * 0.003 for _ in range(4)]
         points = np.concatenate([np.stack([x, 0 * x, 0 * x + n * rows_m], axis=1) for n, x in enumerate(lines)])
         points += rng.uniform(-0.01, 0.01, points.shape)
-        assert largest_cluster(points, 0.15) == naive.largest_cluster(points.tolist(), 0.15)
+        assert core.returns.largest_cluster(points, 0.15, LOW_M) == largest_cluster(points.tolist(), 0.15, LOW_M)
 
 
 def test_points_are_on_the_target(sedan, monkeypatch):
