@@ -3,7 +3,7 @@
 To read in this order: `tasks` says what is fired when, `simulator` what the rays of each firing hit, `echoes` what a
 beam of some width makes of that, `noise` how far off it is reported, by `random_numbers`; `scans` gives the points.
 `lidarcfg.capture.export` makes packets of the same echoes. `returns` counts the returns from an object at a place,
-without any scene.
+without any scene, and `beams` says what becomes of each beam there.
 """
 
 import lazy_loader

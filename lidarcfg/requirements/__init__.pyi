@@ -1,0 +1,6 @@
+from .requirements import Requirements as Requirements
+from .requirements import load_requirements as load_requirements
+from .robustness import Robust as Robust
+from .verdict import RequirementVerdict as RequirementVerdict
+from .verdict import Verdict as Verdict
+from .verify import Verifier as Verifier
