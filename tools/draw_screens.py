@@ -1,6 +1,7 @@
-"""Photograph reports and the page in a browser: docs/report.png, verdict.png, view.png and view-drive.png.
+"""Photograph reports and the page in a browser: docs/report.png, verdict.png, requirements.png, view.png and
+view-drive.png.
 
-Usage: .venv/bin/python tools/draw_screens.py report|verdict|view
+Usage: .venv/bin/python tools/draw_screens.py report|verdict|requirements|view
 """
 
 import re
@@ -74,6 +75,23 @@ def verdict() -> None:
         save(Image.open(BytesIO(driver.get_screenshot_as_png())).convert("RGB"), "verdict.png", 128)
 
 
+def requirements() -> None:
+    """Verify the rig of the bus, and photograph the map of the first requirement."""
+    with tempfile.TemporaryDirectory() as folder, browser(1000, 1000) as driver:
+        line = [
+            "verify",
+            str(ROOT / "data/studies/bus.yaml"),
+            str(ROOT / "data/rigs/bus.yaml"),
+            "-o",
+            folder,
+            "--quiet",
+        ]
+        cli.main(line, prog_name="lidarcfg", standalone_mode=False)
+        driver.get((Path(folder) / "verdict.html").as_uri())
+        picture = driver.find_element("css selector", "svg").screenshot_as_png
+        save(Image.open(BytesIO(picture)).convert("RGB"), "requirements.png", 64)
+
+
 def shot(driver: Any) -> Image.Image:
     """What the browser shows."""
     settled(driver)
@@ -113,4 +131,4 @@ def view() -> None:
 
 
 if __name__ == "__main__":
-    {"report": report, "verdict": verdict, "view": view}[sys.argv[1]]()
+    {"report": report, "verdict": verdict, "requirements": requirements, "view": view}[sys.argv[1]]()
