@@ -15,10 +15,10 @@ ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "api.md"
 HEAD = """# API reference
 
-Made from signatures and docstrings by `tools/make_api.py`; a test keeps it up to date. It has the names that the package
-exports with the types that they return, and a line for each name of its packages; `help(name)` says all of each, its
-errors too. [From Python](python.md) shows how they work together. Lengths are metres, angles radians and times integer
-nanoseconds unless a name says otherwise.
+Made by `tools/make_api.py` from signatures and docstrings; a test keeps it up to date. It has the names that the
+package exports with the types that they return, and a line for each name of its packages; `help(name)` says all of
+each, its errors too. [From Python](python.md) shows how they work together. Lengths are metres, angles radians and
+times integer nanoseconds unless a name says otherwise.
 """
 Definition = ast.FunctionDef | ast.ClassDef
 
