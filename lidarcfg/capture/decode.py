@@ -37,8 +37,8 @@ def decode(
     """All points of a capture as one cloud: in the rig's vehicle frame, or deskewed by its manifest in the world frame.
 
     Without a rig, that of the capture's manifest is used; without one, or with the rig "none", each point is in its
-    sensor's own frame. With `driver_view`, angles and times are as the makers' own drivers compute them: Hesai's SDK with
-    its firing time file, rs_driver. Raises PacketError, also for a capture without points, and ConfigError.
+    sensor's own frame. With `driver_view`, angles and times are as the makers' own drivers compute them: Hesai's SDK
+    with its firing time file, rs_driver. Raises PacketError, also for a capture without points, and ConfigError.
     """
     path = Path(path)
     motion = load_manifest(path).motion() if deskew else None
