@@ -88,9 +88,9 @@ class Hesai(Codec):
         if beams is None:
             what = f"no *{telemetry.SUFFIX} beside it; the nominal angles of {self.unit.name} are taken"
             source.on_warning(f"{source.where}: {what}")
-            return decode.HesaiDecoder(source.where, self.unit)
+            return decode.HesaiDecoder(source.where, self.unit, source.driver_view)
         sensor = self.unit.sensor.model_copy(update={"beams": beams})
-        return decode.HesaiDecoder(source.where, Unit(sensor, self.unit.facts))
+        return decode.HesaiDecoder(source.where, Unit(sensor, self.unit.facts), source.driver_view)
 
     def firing_ns(self) -> Times:
         """(L,) in the first loop; for a laser that rests there, in the second."""
