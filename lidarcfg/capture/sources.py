@@ -32,10 +32,16 @@ class Sources:
     """Finds out who sends the datagrams of a capture. `model` is given for all, or the rig's mounts are."""
 
     def __init__(
-        self, path: Path, on_warning: Callable[[str], None], rig: Rig | None = None, model: str | None = None
+        self,
+        path: Path,
+        on_warning: Callable[[str], None],
+        rig: Rig | None = None,
+        model: str | None = None,
+        driver_view: bool = False,
     ) -> None:
         self._path = path
         self._on_warning = on_warning
+        self._driver_view = driver_view
         self._mounts = rig.mounts if rig else ()
         self._model = load_sensor(model) if model else None
         self._catalogue = cache(_catalogued)
@@ -94,6 +100,7 @@ class Sources:
             sidecar_files=partial(_sidecar_files, self._path),
             payloads=partial(_payloads, self._path, host),
             on_warning=self._on_warning,
+            driver_view=self._driver_view,
         )
 
     def sensor(self, key: int, packets: Bytes) -> Sensor:
