@@ -43,6 +43,7 @@ class DecodeTables:
     elevation_rad: Array  # (L,)
     azimuth_offset_rad: Array  # (L,)
     return_mode: str
+    driver_view: bool  # whether lasers fire when the maker's driver has them fire
 
     @property
     def dual(self) -> bool:
@@ -68,7 +69,9 @@ class DecodeTables:
         )
         group_ns = schedule.per_azimuth * schedule.sequence_ns
         decoder = unit.series.decoder
-        return decoder(slots(unit, self.dual), lasers, schedule.period_ns, group_ns, unit.resolution_m)
+        return decoder(
+            slots(unit, self.dual, self.driver_view), lasers, schedule.period_ns, group_ns, unit.resolution_m
+        )
 
 
 def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> DecodeTables:
@@ -80,14 +83,15 @@ def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | Non
     unit = unit.installed(difop.install_mode) if difop else unit
     count = unit.count
     sensor = unit.sensor
+    view = source.driver_view
     if difop and difop.lasers >= count:
-        return DecodeTables(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode)
+        return DecodeTables(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode, view)
     missing = "its DIFOP has no angles" if difop else "no DIFOP near its start"
     model = int(first["model"][0])
     if model in unit.facts.packet.other_models:
         raise PacketError(f"{source.where}: {missing}, and those of model 0x{model:02X} are not {sensor.name}'s")
     source.on_warning(f"{source.where}: {missing}; those of {sensor.name}'s file are taken")
-    return DecodeTables(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode)
+    return DecodeTables(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode, view)
 
 
 class RobosenseDecoder(Decoder):

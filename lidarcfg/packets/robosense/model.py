@@ -15,6 +15,14 @@ from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Sensor
 
 
+class Driver(Model):
+    """When the maker's driver has lasers fire, where that differs: what `decode --driver-view` takes."""
+
+    source: str = ""
+    offset_ns: tuple[Nanoseconds, ...]  # after the block's azimuth, by the place of a return in it
+    sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # as that of `Firing`
+
+
 class Packet(Model):
     """The facts of the MSOP packet."""
 
@@ -52,6 +60,7 @@ class Facts(Model):
 
     firing: Firing
     installed: tuple[Installed, ...] = ()
+    driver: Driver | None = None
     packet: Packet
     difop: Difop
     headers: Headers
@@ -107,6 +116,10 @@ def unit(sensor: Sensor) -> Unit:
         if len(one.offset_ns) != sensor.count or max(one.offset_ns) - min(one.offset_ns) >= facts.firing.sequence_ns:
             what = f"must be {sensor.count} values, one a beam, within the sequence's {facts.firing.sequence_ns} ns"
             raise section.error(("installed", k, "offset_ns"), what)
+    together = max(series.slots, sensor.count)
+    if facts.driver and len(facts.driver.offset_ns) != together:
+        what = f"has {len(facts.driver.offset_ns)} values; allowed: {together}, one for each return of an azimuth"
+        raise section.error(("driver", "offset_ns"), what)
     return Unit(sensor, facts)
 
 
@@ -137,17 +150,23 @@ def byte_offsets(unit: Unit, dual: bool) -> Times:
 
 
 @lru_cache
-def slots(unit: Unit, dual: bool) -> blocks.Slots:
-    """The core's table of a packet's slots."""
+def slots(unit: Unit, dual: bool, driver_view: bool) -> blocks.Slots:
+    """The core's table of a packet's slots; with `driver_view`, of when the maker's driver has lasers fire."""
     schedule = unit.firing_schedule(dual)
     groups = schedule.sequences // schedule.per_azimuth
     each = 1 + dual
     at = slot_numbers(unit, dual).reshape(groups, -1)[0]
     order = np.argsort(at)
     sequence, laser = np.divmod(order // each, unit.count)
-    offset_ns = sequence * schedule.sequence_ns + schedule.offset_ns[laser]
-    group_ns = schedule.per_azimuth * schedule.sequence_ns
-    fraction = (offset_ns - schedule.offset_ns.min()) / group_ns
+    driver = unit.facts.driver if driver_view else None
+    if driver:
+        offset_ns = np.array(driver.offset_ns, np.int64)[sequence * unit.count + laser]
+        group_ns = schedule.per_azimuth * driver.sequence_ns
+        fraction = offset_ns / group_ns
+    else:
+        offset_ns = sequence * schedule.sequence_ns + schedule.offset_ns[laser]
+        group_ns = schedule.per_azimuth * schedule.sequence_ns
+        fraction = (offset_ns - schedule.offset_ns.min()) / group_ns
     return blocks.Slots(
         laser=laser,
         fraction=np.tile(fraction, (groups, 1)),
