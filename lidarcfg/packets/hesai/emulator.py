@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from lidarcfg.packets.codec import Source
-from lidarcfg.packets.emulator import Answer, RequestError, Service, Site, Target
+from lidarcfg.packets.emulator import Answer, Emulator, RequestError, Service, Site, Target
 from lidarcfg.packets.hesai.model import Unit
 from lidarcfg.packets.hesai.telemetry import SUFFIX, correction_lines, find_corrections
 
@@ -48,7 +48,7 @@ PRODUCTS = {
 INVENTORY = struct.Struct(">18s16s6s16s16s16s16s")  # serial number, date, MAC, versions of software, hardware, firmware
 
 
-class HesaiEmulator:
+class HesaiEmulator(Emulator):
     """A Hesai's PTC."""
 
     def __init__(self, unit: Unit, source: Source, site: Site) -> None:
