@@ -14,6 +14,7 @@ from lidarcfg.packets.livox.layout import DataType
 from lidarcfg.packets.livox.model import Unit
 
 FIND_PORT = 56000
+PORT_NAMES = {FIND_PORT: "Livox's discovery", 56100: "Livox's commands"}
 COMMAND_PORTS = {9: 56100, 10: 56000}  # by type of device: Livox-SDK2 (08f523c), sdk_core/comm/define.h
 STATE_PORTS = {9: (56200, 56201), 10: (56000, 56000)}  # the sensor's, the host's
 APPLICATION = b"\x01"  # the type of firmware that is not the loader
@@ -63,9 +64,18 @@ class LivoxEmulator:
         }
         command_port = COMMAND_PORTS.get(device.type, COMMAND_PORTS[9])
         self._command_port = command_port
-        find = Service("Livox's discovery", "udp", FIND_PORT, self.answer, broadcast=True)
-        more = [] if command_port == FIND_PORT else [Service("Livox's commands", "udp", command_port, self.answer)]
-        self.services: Sequence[Service] = [find, *more]
+        ports = dict.fromkeys((FIND_PORT, command_port, state_from))
+        self.services: Sequence[Service] = [
+            Service(
+                name=PORT_NAMES.get(port, "Livox's state"),
+                transport="udp",
+                port=port,
+                answer=self.answer,
+                broadcast=port == FIND_PORT,
+                push=self.pushed if port == state_from else None,
+            )
+            for port in ports
+        ]
 
     def destination(self, port: int) -> Target | None:
         """Where a driver wants points, and other datagrams, which are inertial measurements; in a mode that sends."""
