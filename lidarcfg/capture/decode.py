@@ -17,13 +17,15 @@ from lidarcfg.capture.manifest import load_manifest, rig_file
 from lidarcfg.capture.reader import CHUNK_PACKETS, CaptureReader
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.capture.stream import Packets, SourceStats
-from lidarcfg.clouds.cloud import PointCloud, concatenate
+from lidarcfg.clouds.cloud import PointCloud, concatenate, gather
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import transform
 from lidarcfg.packets.codec import Returns
 from lidarcfg.sensors.rig import Rig, load_rig
 
+POINT_BYTES = 3  # that a return takes at least in a capture: distance and intensity
+POINTS_AT_FIRST = 1 << 26  # for which a cloud has room, however large its capture
 ROWS = 1 << 14  # points transformed at once: for more, BLAS starts threads of its own
 
 
@@ -37,8 +39,8 @@ def decode(
     """All points of a capture as one cloud: in the rig's vehicle frame, or deskewed by its manifest in the world frame.
 
     Without a rig, that of the capture's manifest is used; without one, or with the rig "none", each point is in its
-    sensor's own frame. With `driver_view`, angles and times are as the makers' own drivers compute them: Hesai's SDK with
-    its firing time file, rs_driver. Raises PacketError, also for a capture without points, and ConfigError.
+    sensor's own frame. With `driver_view`, angles and times are as the makers' own drivers compute them: Hesai's SDK
+    with its firing time file, rs_driver. Raises PacketError, also for a capture without points, and ConfigError.
     """
     path = Path(path)
     motion = load_manifest(path).motion() if deskew else None
@@ -47,7 +49,9 @@ def decode(
         rig = load_rig(file) if file else None
     if motion and not rig:
         raise ConfigError(f"{path}: deskewing needs the rig, which says where the sensors are on the vehicle")
-    cloud = concatenate(list(decode_pcap(path, on_warning, rig, driver_view=driver_view)))
+    size = path.stat().st_size if path.is_file() else 0
+    clouds = decode_pcap(path, on_warning, rig, driver_view=driver_view)
+    cloud = gather(clouds, min(size // POINT_BYTES, POINTS_AT_FIRST))
     return replace(cloud, xyz=motion.world(cloud.xyz, cloud.time_ns)) if motion else cloud
 
 

@@ -135,10 +135,17 @@ def _catalogued(codec: str, name: str | None = None) -> list[Sensor]:
 
 
 def _sidecar_files(path: Path, suffix: str) -> Mapping[str, bytes]:
-    """The files beside a capture NAME.pcap that match NAME, NAME-* or NAME.*, followed by `suffix`."""
+    """The files beside a capture NAME.pcap that match NAME, NAME-*, NAME.* or NAME_<number>, followed by `suffix`.
+
+    NAME_0.json is what Ouster's recorder writes beside NAME.pcap; with a NAME_0.pcap there it is that one's.
+    """
     stem = escape(path.stem)
     end = escape(suffix)
     found = {file for between in ("", "-*", ".*") for file in path.parent.glob(stem + between + end)}
+    for file in path.parent.glob(f"{stem}_*{end}"):
+        number = file.name.removeprefix(f"{path.stem}_").removesuffix(suffix)
+        if number.isdecimal() and not path.with_stem(f"{path.stem}_{number}").exists():
+            found.add(file)
     try:
         return {str(one): read_regular(one, SIDECAR_MAX) for one in sorted(found)}
     except OSError as error:

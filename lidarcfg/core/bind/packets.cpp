@@ -52,7 +52,8 @@ struct Fields<packets::hesai::Lasers> {
   static constexpr auto members =
       fields(field("cos_elevation", &T::cos_elevation), field("sin_elevation", &T::sin_elevation),
              field("cos_offset", &T::cos_offset), field("sin_offset", &T::sin_offset), field("ring", &T::ring),
-             field("offset_ns", &T::offset_ns), field("group_ns", &T::group_ns), field("pair_ns", &T::pair_ns));
+             field("offset_ns", &T::offset_ns), field("lag_ns", &T::lag_ns), field("group_ns", &T::group_ns),
+             field("pair_ns", &T::pair_ns));
 };
 
 template <>
@@ -60,7 +61,7 @@ struct Fields<packets::hesai::PacketFields> {
   using T = packets::hesai::PacketFields;
   static constexpr auto members =
       fields(field("unit_mm", &T::unit_mm), field("stamp_ns", &T::stamp_ns), field("dual", &T::dual),
-             field("loop", &T::loop), field("near", &T::near), field("far", &T::far));
+             field("loop", &T::loop), field("near", &T::near), field("far", &T::far), field("turn", &T::turn));
 };
 
 namespace {
@@ -258,6 +259,8 @@ void check_hesai_lasers(const packets::hesai::Lasers& lasers) {
   require(lasers.sin_offset.size() == count, "lasers.sin_offset: one for each ring");
   require(lasers.offset_ns.rows() > 0 && lasers.offset_ns.columns() == static_cast<Index>(count),
           "lasers.offset_ns: at least one loop, with one for each ring");
+  require(lasers.lag_ns.rows() == lasers.offset_ns.rows() && lasers.lag_ns.columns() == static_cast<Index>(count),
+          "lasers.lag_ns: one for each of offset_ns");
   require(!lasers.group_ns.empty() && lasers.group_ns.size() % 2 == 0, "lasers.group_ns: of an even number of blocks");
   require(lasers.pair_ns.size() == lasers.group_ns.size() / 2, "lasers.pair_ns: one for every two of group_ns");
 }
@@ -294,6 +297,7 @@ void bind_hesai(nb::module_& module) {
                 "fields.loop: one of the loops for each packet");
         require(fields.near.size() == count, "fields.near: one for each packet");
         require(fields.far.size() == count, "fields.far: one for each packet");
+        require(fields.turn.size() == count, "fields.turn: one for each packet");
         check_returns(out);
         return self.decode(packets, wanted, fields, out);
       },
