@@ -105,7 +105,8 @@ def replay(
                 to = emulator.destination(datagram.port) if emulator else (address, port or datagram.port)
                 payload = emulator.payload(datagram.payload, datagram.later_ns) if emulator else datagram.payload
                 try:
-                    sent = to is not None and senders.of(datagram.host).sendto(payload, to) >= 0
+                    sender = senders.of(datagram.host, datagram.source_port if emulator else 0)
+                    sent = to is not None and sender.sendto(payload, to) >= 0
                 except OSError as error:
                     if to == (address, port or datagram.port):
                         raise PacketError(f"{host}: {reason(error)}") from None
@@ -123,11 +124,14 @@ def replay(
 
 
 class Senders:
-    """A socket for each sensor, from its own address if this machine has that: see `sender_address`."""
+    """A socket for each sensor, from its own address if this machine has that: see `sender_address`.
+
+    Drivers may know a sensor's data by the port that it comes from: `of` gives a socket with that port, if it is free.
+    """
 
     def __init__(self, receiver: str) -> None:
         self._receiver = receiver
-        self._sockets: dict[str, socket.socket] = {}
+        self._sockets: dict[tuple[str, int], socket.socket] = {}
         self._open = ExitStack()
         self.sources: dict[str, str] = {}
 
@@ -137,19 +141,22 @@ class Senders:
     def __exit__(self, *error: object) -> None:
         self._open.close()
 
-    def of(self, host: str) -> socket.socket:
-        """The socket of the sensor at an address."""
-        if host not in self._sockets:
-            self._sockets[host] = self._made(host)
-        return self._sockets[host]
+    def of(self, host: str, port: int = 0) -> socket.socket:
+        """The socket of the sensor at an address, which sends from a port; 0: any."""
+        if (host, port) not in self._sockets:
+            self._sockets[host, port] = self._made(host, port)
+        return self._sockets[host, port]
 
-    def _made(self, host: str) -> socket.socket:
+    def _made(self, host: str, port: int) -> socket.socket:
         made = self._open.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         made.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         address = sender_address(host, self._receiver)
-        self.sources[host] = ""
-        if address not in self.sources.values():
-            with suppress(OSError):  # not an address of this machine
-                made.bind((address, 0))
+        self.sources.setdefault(host, "")
+        if address in (one for sensor, one in self.sources.items() if sensor != host):
+            return made
+        for own in dict.fromkeys((port, 0)):
+            with suppress(OSError):  # the port is taken, or it is not an address of this machine
+                made.bind((address, own))
                 self.sources[host] = address
+                break
         return made

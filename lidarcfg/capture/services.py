@@ -15,13 +15,14 @@ from threading import Thread
 from typing import Any
 
 from lidarcfg.errors import ConfigError, one_line, reason
-from lidarcfg.packets.emulator import RequestError, Service
+from lidarcfg.packets.emulator import RequestError, Service, Target
 
 BEGINNING_MAX = 1 << 14  # bytes that must tell the size of a request
 REQUEST_MAX = 1 << 20  # bytes
 CONNECTIONS_MAX = 64  # of a port at once
 PATIENCE_S = 5.0  # with a client that does not end its request, or does not read its answer
 MESSAGES_MAX = 100  # of a port
+PUSH_S = 1.0  # between two datagrams that nobody asked for
 TO_ALL = "255.255.255.255" if sys.platform == "linux" else ""  # where datagrams arrive that are sent to all
 
 
@@ -84,6 +85,7 @@ class _Port:
         self._said: set[str] = set()
         self._sockets: list[socket.socket] = []
         self._open: list[asyncio.Server | asyncio.BaseTransport] = []
+        self._pushing: asyncio.Task[None] | None = None
 
     def bind(self) -> None:
         """Take the port. Raises ConfigError."""
@@ -100,12 +102,16 @@ class _Port:
         own = _Datagrams(self)
         transport, _ = await loop.create_datagram_endpoint(lambda: own, sock=self._sockets[0])
         self._open.append(transport)
+        if self.service.push:
+            self._pushing = loop.create_task(_push(transport, self.service.push))
         for shared in self._sockets[1:]:
             transport, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(self, own), sock=shared)
             self._open.append(transport)
 
     def close(self) -> None:
         """Answer no more."""
+        if self._pushing:
+            self._pushing.cancel()
         for connection in list(self.connections):
             connection.abort()
         for one in self._open or self._sockets:
@@ -234,6 +240,13 @@ class _Connection(asyncio.Protocol):
         if self._timer:
             self._timer.cancel()
             self._timer = None
+
+
+async def _push(transport: asyncio.DatagramTransport, made: Callable[[], tuple[bytes, Target]]) -> None:
+    """Send what a sensor sends unasked."""
+    while True:
+        await asyncio.sleep(PUSH_S)
+        transport.sendto(*made())
 
 
 class _Datagrams(asyncio.DatagramProtocol):

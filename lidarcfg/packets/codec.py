@@ -99,6 +99,7 @@ class Source:
     sidecar_files: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
     payloads: Callable[[int | None, int], Iterator[Bytes]]  # of one size, of the host to a port or to any
     on_warning: Callable[[str], None]
+    driver_view: bool = False  # angles and times are wanted as the maker's own driver computes them, if it differs
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,7 @@ class Codec(Timing, Protocol):
     """The packets of one sensor. The constructor raises ConfigError if the sensor's file lacks facts."""
 
     point_fields: ClassVar[tuple[PointField, ...]] = TIMED  # of a PointCloud2, as the maker's ROS driver has them
+    scans: ClassVar[bool] = False  # whether its sensors have a scan pattern; else they have beams
     facts_model: ClassVar[type[Model]]  # of the key in a sensor's file that is named after the family
     settings_model: ClassVar[type[Model]] = Model  # of that key of a mount in a rig's file; by default without keys
 

@@ -65,6 +65,7 @@ class Service:
         len  # of the request that begins so; None: more is needed. Raises RequestError
     )
     broadcast: bool = False  # whether datagrams to 255.255.255.255 are answered, too
+    push: Callable[[], tuple[bytes, Target]] | None = None  # on UDP: what the sensor sends unasked once a second
 
 
 class Emulator(Protocol):
