@@ -81,7 +81,7 @@ def _first_packets(path: Path, sources: Sources, selection: Selection) -> Iterat
         lidar, keys = sources.lidar(inside)
         for key in dict.fromkeys(keys.tolist()):
             mine = lidar[keys == key][:ENOUGH]
-            packets = mine.payloads(int(mine.size[0]))
+            packets = np.ascontiguousarray(mine.payloads(int(mine.size[0])))
             first[key] = np.concatenate([first[key], packets])[:ENOUGH] if key in first else packets
         if inside.time_ns.min() >= until_ns:
             break

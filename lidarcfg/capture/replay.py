@@ -48,7 +48,7 @@ def repeat(read: Callable[[], Iterator[Datagram]]) -> Iterator[Datagram]:
         for count, datagram in enumerate(read(), 1):
             first_ns = first_ns if count > 1 else datagram.time_ns
             last_ns = datagram.time_ns
-            yield replace(datagram, time_ns=datagram.time_ns + shift_ns)
+            yield replace(datagram, time_ns=datagram.time_ns + shift_ns, later_ns=shift_ns)
         span_ns = last_ns - first_ns
         again = count > 0
         shift_ns += span_ns + max(span_ns // max(count - 1, 1), LEAST_NS)
@@ -103,9 +103,10 @@ def replay(
                     time.sleep(wait_s)
                 emulator = emulators.get(datagram.host)
                 to = emulator.destination(datagram.port) if emulator else (address, port or datagram.port)
+                payload = emulator.payload(datagram.payload, datagram.later_ns) if emulator else datagram.payload
                 try:
                     sender = senders.of(datagram.host, datagram.source_port if emulator else 0)
-                    sent = to is not None and sender.sendto(datagram.payload, to) > 0
+                    sent = to is not None and sender.sendto(payload, to) >= 0
                 except OSError as error:
                     if to == (address, port or datagram.port):
                         raise PacketError(f"{host}: {reason(error)}") from None

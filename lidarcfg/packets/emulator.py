@@ -10,12 +10,14 @@ A maker's part is bytes in, bytes out: it opens no sockets and knows no threads.
    `Answer.message`: a line for the terminal, printed once.
 2. `destination` says where the datagrams captured for a port go now: to `Site.target` at first, then where a driver had
    them sent; None while the sensor does not send, which discards them.
-3. Override `Codec.emulator`, which makes one from the first packets of a source and the files beside the capture.
+3. `payload` lets counters and stamps go on when a capture is sent again and again; a family whose drivers do not mind
+   has no need of it, if its class derives from `Emulator`.
+4. Override `Codec.emulator`, which makes one from the first packets of a source and the files beside the capture.
    It raises PacketError or ConfigError for what is missing.
 
 `capture/emulation.py` has the sockets: it opens all ports before the first datagram is sent, or none; calls `answer`
-in one thread of its own, apart from the one that sends; and closes them when the replay ends. `destination` is called
-in the thread that sends: let `answer` replace what it reads by one assignment.
+in one thread of its own, apart from the one that sends; and closes them when the replay ends. `destination` and
+`payload` are called in the thread that sends: let `answer` replace what they read by one assignment.
 """
 
 from collections.abc import Callable, Sequence
@@ -74,3 +76,10 @@ class Emulator(Protocol):
 
     def destination(self, port: int) -> Target | None:
         """Where datagrams captured for a port go now; None: the sensor does not send."""
+
+    def payload(self, captured: bytes, later_ns: int) -> bytes:
+        """What a datagram holds that is sent again so much later: its stamps and counters go on, if drivers ask that.
+
+        `later_ns` is 0 in the first pass of a capture, and grows from pass to pass. Called in the thread that sends.
+        """
+        return captured

@@ -7,10 +7,12 @@ import socket
 import struct
 from collections.abc import Sequence
 
-from lidarcfg.packets.emulator import Answer, RequestError, Service, Site, Target
+import numpy as np
+
+from lidarcfg.packets.emulator import Answer, Emulator, RequestError, Service, Site, Target
 from lidarcfg.packets.livox import commands
 from lidarcfg.packets.livox.commands import Code, Command, Frame, Key, WorkMode
-from lidarcfg.packets.livox.layout import DataType
+from lidarcfg.packets.livox.layout import HEADER, DataType, crcs, headers_of
 from lidarcfg.packets.livox.model import Unit
 
 FIND_PORT = 56000
@@ -22,7 +24,7 @@ FIXED = {Key.DATA_TYPE: "kind of points", Key.PATTERN: "scan pattern", Key.FOV_O
 HOSTS = {Key.STATE_HOST: "its state", Key.POINT_HOST: "points", Key.IMU_HOST: "inertial measurements"}
 
 
-class LivoxEmulator:
+class LivoxEmulator(Emulator):
     """One sensor, of which a capture has packets of this kind, sent to this port."""
 
     def __init__(self, unit: Unit, kind: DataType, port: int, site: Site) -> None:
@@ -86,6 +88,17 @@ class LivoxEmulator:
         if (values[Key.POINTS_OFF] != b"\0") if points else (values[Key.IMU_ON] == b"\0"):
             return None
         return _target(values[Key.POINT_HOST if points else Key.IMU_HOST])
+
+    def payload(self, captured: bytes, later_ns: int) -> bytes:
+        """The same, stamped later."""
+        if not later_ns or len(captured) < HEADER.itemsize:
+            return captured
+        data = np.frombuffer(captured, np.uint8)[None].copy()
+        header = headers_of(data)
+        header["time_ns"] += np.uint64(later_ns)
+        if header["crc"][0]:
+            header["crc"] = crcs(data)
+        return data.tobytes()
 
     def answer(self, request: bytes, client: str) -> Answer:
         """The answer to a command. Raises RequestError for what is none."""

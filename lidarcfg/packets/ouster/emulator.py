@@ -14,11 +14,14 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
+
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Bytes
 from lidarcfg.packets.codec import Source
-from lidarcfg.packets.emulator import Answer, RequestError, Service, Site, Target
-from lidarcfg.packets.ouster.telemetry import SUFFIX, find_metadata
+from lidarcfg.packets.emulator import Answer, Emulator, RequestError, Service, Site, Target
+from lidarcfg.packets.ouster.layout import Layout, add_frames, column_values, crc64, packet_headers, values
+from lidarcfg.packets.ouster.telemetry import FRAMED_IMU_PACKET, IMU_PACKET, SUFFIX, find_metadata
 
 PORT = 80
 API = "/api/v1/"
@@ -33,6 +36,7 @@ VERSION = re.compile(r"v(\d+)\.(\d+)")
 PORT_KEYS = ("udp_port_lidar", "udp_port_imu", "udp_port_zm")
 HOST_KEYS = ("udp_dest", "udp_dest_zm", "udp_ip")
 MODES = ("NORMAL", "STANDBY")
+IMU_SIZES = (IMU_PACKET.itemsize, FRAMED_IMU_PACKET.itemsize)
 SHOWN_MAX = 80  # characters of a request, on the terminal
 Config = Mapping[str, Any]
 
@@ -59,7 +63,7 @@ class Request:
         return f"{self.method} {API}{self.path}"[:SHOWN_MAX]
 
 
-class OusterEmulator:
+class OusterEmulator(Emulator):
     """An Ouster's HTTP interface."""
 
     def __init__(self, source: Source, packets: Bytes, site: Site) -> None:
@@ -69,6 +73,7 @@ class OusterEmulator:
             what = f"to answer drivers, metadata in the form of firmware 2.4 is needed; there is no {missing[0]}"
             raise PacketError(f"{found.name}: {what}")
         self.name = found.line or "an Ouster"
+        self._counter = _Counter(found.layout, packets)
         self.services: Sequence[Service] = (Service("HTTP", "tcp", PORT, self._answer, request_size),)
         self._metadata = {key: value for key, value in metadata.items() if key not in OF_THE_SDK}
         image = str(metadata["sensor_info"].get("image_rev"))
@@ -86,6 +91,10 @@ class OusterEmulator:
         config = self._active
         target = config.get(self._ports.get(port, ""), port)
         return (config["udp_dest"], target) if target and config["operating_mode"] == "NORMAL" else None
+
+    def payload(self, captured: bytes, later_ns: int) -> bytes:
+        """With stamps and frame numbers that go on: ouster-sdk drops what is older than the last frame."""
+        return self._counter.counted(captured, later_ns)
 
     def _answer(self, request: bytes, client: str) -> Answer:
         head, _, body = request.partition(END)
@@ -159,6 +168,44 @@ class OusterEmulator:
             if not (key in self._staged and value == self._staged[key]) and not _allowed(key, value):
                 raise RefusedError(f"sets {key} to {json.dumps(value)[:SHOWN_MAX]}, which the capture does not have")
         self._staged = {**self._staged, **taken}
+
+
+class _Counter:
+    """Lets stamps and frame numbers go on in the later passes of a capture."""
+
+    def __init__(self, layout: Layout, packets: Bytes) -> None:
+        self._layout = layout
+        self._checksums = bool((values(packets, "<u8", layout.size - 8) == crc64(packets)).all()) and not layout.legacy
+        self._later_ns = 0  # of the pass that is sent
+        self._before = 0  # frames in the passes before it
+        self._frames: list[int] = []  # the first and the last of the pass, as captured
+
+    def counted(self, captured: bytes, later_ns: int) -> bytes:
+        """A datagram's payload, so much later."""
+        layout = self._layout
+        lidar = len(captured) == layout.size
+        if later_ns != self._later_ns:
+            self._before += (self._frames[-1] - self._frames[0]) % layout.frames + 1 if self._frames else 0
+            self._later_ns = later_ns
+            self._frames = []
+        if not (lidar or (len(captured) in IMU_SIZES and later_ns)):
+            return captured
+        packet = np.frombuffer(captured, np.uint8).reshape(1, -1).copy()
+        if lidar:
+            self._frames = [*self._frames[:1], int(packet_headers(layout, packet).frame[0])]
+        if not later_ns:
+            return captured
+        if lidar:
+            column_values(layout, packet, "<u8", 0)[:] += np.uint64(later_ns)
+        elif len(captured) == IMU_PACKET.itemsize:
+            packet.view(IMU_PACKET)["time_ns"] += np.uint64(later_ns)
+            return packet.tobytes()
+        else:
+            packet.view(FRAMED_IMU_PACKET)["measured"]["time_ns"] += np.uint64(later_ns)
+        add_frames(layout, packet, self._before)
+        if self._checksums:
+            values(packet, "<u8", packet.shape[1] - 8)[:] = crc64(packet)
+        return packet.tobytes()
 
 
 def _allowed(key: str, value: object) -> bool:
