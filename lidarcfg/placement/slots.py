@@ -244,7 +244,7 @@ def freely_tilted(lidars: Sequence[Lidar], lower: Array, upper: Array, free: NDA
     number = np.cumsum(free).reshape(free.shape) - 1
     found = []
     for i, lidar in enumerate(lidars):
-        symmetric = np.allclose(lidar.sin_elevation, -lidar.sin_elevation[::-1])
+        symmetric = lidar.sin_elevation.size and np.allclose(lidar.sin_elevation, -lidar.sin_elevation[::-1])
         half_turns = all(
             free[i, k] and lower[i, k] == 0.0 and abs(upper[i, k] - math.pi) < NEARLY_RAD for k in (ROLL, PITCH)
         )

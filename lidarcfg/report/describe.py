@@ -277,8 +277,7 @@ def mounts_table(rig: Rig) -> Table:
     for i, (mount, lidar) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
         tilt = math.degrees(math.acos(min(max(float(lidar.axis[2]), -1.0), 1.0)))
         angles = np.degrees(mount.rpy_rad)
-        low = min(mount.sensor.beams.elevation_deg)
-        high = max(mount.sensor.beams.elevation_deg)
+        low, high = mount.sensor.elevation_span_deg
         rows.append(
             [
                 f"{i + 1} {truncate(mount.name)}",
