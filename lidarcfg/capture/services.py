@@ -6,6 +6,7 @@ greatest number of connections.
 
 import asyncio
 import errno
+import signal
 import socket
 import sys
 from collections.abc import Callable, Iterable
@@ -59,6 +60,8 @@ class Services:
         self._loop.close()
 
     def _run(self) -> None:
+        if hasattr(signal, "pthread_sigmask"):  # a client that is gone must not end the command, as a reader's end does
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
         self._loop.run_until_complete(self._serve())
 
     async def _serve(self) -> None:

@@ -99,6 +99,7 @@ class Source:
     sidecar_files: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
     payloads: Callable[[int | None, int], Iterator[Bytes]]  # of one size, of the host to a port or to any
     on_warning: Callable[[str], None]
+    driver_view: bool = False  # angles and times are wanted as the maker's own driver computes them, if it differs
 
 
 @dataclass(frozen=True)

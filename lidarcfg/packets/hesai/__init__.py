@@ -90,9 +90,9 @@ class Hesai(Codec):
         if beams is None:
             what = f"no *{telemetry.SUFFIX} beside it; the nominal angles of {self.unit.name} are taken"
             source.on_warning(f"{source.where}: {what}")
-            return decode.HesaiDecoder(source.where, self.unit)
+            return decode.HesaiDecoder(source.where, self.unit, source.driver_view)
         sensor = self.unit.sensor.model_copy(update={"beams": beams})
-        return decode.HesaiDecoder(source.where, Unit(sensor, self.unit.facts))
+        return decode.HesaiDecoder(source.where, Unit(sensor, self.unit.facts), source.driver_view)
 
     def emulator(self, source: Source, packets: Bytes, site: Site) -> HesaiEmulator:
         """PTC."""

@@ -27,6 +27,7 @@ from lidarcfg.packets.hesai.layout import (
 from lidarcfg.packets.hesai.model import Unit
 from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST, Batch, Firings
 from lidarcfg.sensors.rig import SINGLE
+from lidarcfg.units import MINUTE_NS
 
 PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
 LASERS = {16, 32, 40, 64, 128}
@@ -51,6 +52,7 @@ class PacketFields(NamedTuple):
     loop: Bytes  # (P,) with dual returns: which lasers fire
     near: Bytes  # (P,) the type of a pair's nearer return, or of single returns
     far: Bytes  # (P,) the type of a pair's farther return
+    turn: Array  # (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
 
 
 class Lasers(NamedTuple):
@@ -62,6 +64,7 @@ class Lasers(NamedTuple):
     sin_offset: Array
     ring: Bytes
     offset_ns: Times  # (loops, L)
+    lag_ns: Times  # (loops, L) how long the head turns from a block's azimuth to the laser's
     group_ns: Times  # (B,) single: when each block starts, after the stamp
     pair_ns: Times  # (B / 2,) dual: when each pair starts
 
@@ -69,9 +72,10 @@ class Lasers(NamedTuple):
 class HesaiDecoder(Decoder):
     """Decodes the packets of one Hesai sensor."""
 
-    def __init__(self, where: str, unit: Unit) -> None:
+    def __init__(self, where: str, unit: Unit, driver_view: bool = False) -> None:
         self._where = where
         self._unit = unit
+        self._driver_view = driver_view
         self._counter = PacketLossCounter(unit)
         self.period_ns = unit.period_ns()
 
@@ -98,13 +102,16 @@ class HesaiDecoder(Decoder):
         return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
-        return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False)
+        return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False, driver_view=self._driver_view)
 
 
-def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True) -> Returns:
+def decode(
+    unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True, driver_view: bool = False
+) -> Returns:
     """The returns of packets (P,), or of those that are wanted (P,). Without `polar`, ranges and azimuths are empty.
 
-    All lasers of a block point where its azimuth says, as published drivers have it: see docs/hesai.md.
+    All lasers of a block point where its azimuth says, as published drivers have it: see docs/hesai.md. With
+    `driver_view`, each points where the head has turned when it fires, as in Hesai's SDK with its firing time file.
     Raises PacketError.
     """
     check(unit, packets)
@@ -126,9 +133,10 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         loop=loop,
         near=near[modes],
         far=far[modes],
+        turn=packets["tail"]["rpm"] * (driver_view * 2 * np.pi / MINUTE_NS),
     )
     data = bytes_of(packets)
-    decoder = _decoder(unit)
+    decoder = _decoder(unit, driver_view)
     out = Returns.allocate(decoder.count(data, wanted), polar)
     return out.first(decoder.decode(data, wanted, fields, out))
 
@@ -163,8 +171,9 @@ def _other(name: str, key: str, right: int, value: int) -> str:
 
 
 @lru_cache
-def _decoder(unit: Unit) -> core.HesaiDecoder:
+def _decoder(unit: Unit, driver_view: bool) -> core.HesaiDecoder:
     sensor = unit.sensor
+    group_ns = unit.driver_group_ns if driver_view else unit.group_ns
     lasers = Lasers(
         cos_elevation=maths.cos(sensor.elevation_rad),
         sin_elevation=maths.sin(sensor.elevation_rad),
@@ -172,8 +181,9 @@ def _decoder(unit: Unit) -> core.HesaiDecoder:
         sin_offset=maths.sin(sensor.azimuth_offset_rad),
         ring=sensor.ring.astype(np.uint8),
         offset_ns=unit.offset_ns,
-        group_ns=unit.group_ns(dual=False),
-        pair_ns=unit.group_ns(dual=True),
+        lag_ns=unit.driver_lag_ns,
+        group_ns=group_ns(dual=False),
+        pair_ns=group_ns(dual=True),
     )
     return core.HesaiDecoder(lasers)
 
