@@ -143,6 +143,15 @@ class RobosenseDecoder:
         self, packets: Bytes, wanted: Flags, stamp_ns: Times, gap_ns: Times, kind: Bytes, out: Returns
     ) -> int: ...
 
+class AiryDecoder:
+    """The same of an Airy's packets (P, 1248)."""
+
+    def __init__(self, slots: Slots, lasers: Lasers, period_ns: int, group_ns: int, unit_m: float) -> None: ...
+    def count(self, packets: Bytes, wanted: Flags) -> int: ...
+    def decode(
+        self, packets: Bytes, wanted: Flags, stamp_ns: Times, gap_ns: Times, kind: Bytes, out: Returns
+    ) -> int: ...
+
 class HesaiDecoder:
     """Decodes packets (P, size) of one sensor."""
 
@@ -170,6 +179,11 @@ def write_robosense_returns(
     range_m: Array, reflectivity: Bytes, number: Times, offset_m: Array, limits: Sequence[float], packets: Bytes
 ) -> None:
     """The same of packets (P, 1248)."""
+
+def write_airy_returns(
+    range_m: Array, reflectivity: Bytes, number: Times, offset_m: Array, limits: Sequence[float], packets: Bytes
+) -> None:
+    """The same of an Airy's packets."""
 
 def write_velodyne_near_returns(
     range_m: Array,

@@ -119,9 +119,9 @@ void check_lasers(const packets::Lasers& lasers) {
 void check_slots(const packets::Slots& slots, Index lasers) {
   const Index width = std::ssize(slots.laser);
   const Index groups = slots.fraction.rows();
-  require(width > 0 && width % packets::slots_per_block == 0, "slots.laser: of whole blocks of 32");
-  require(groups > 0 && groups * width <= packets::blocks_per_packet * packets::slots_per_block,
-          "slots.fraction: of groups that fill at most twelve blocks");
+  require(width > 0 && width % packets::slots_per_column == 0, "slots.laser: of whole columns of 32");
+  require(groups > 0 && groups * width <= packets::slots_per_packet,
+          "slots.fraction: of groups that fill at most a packet");
   require(slots.fraction.columns() == width, "slots.fraction: one for each laser");
   require(slots.offset_ns.rows() == groups && slots.offset_ns.columns() == width,
           "slots.offset_ns: one for each fraction");
@@ -142,7 +142,7 @@ void check_encoded(Rows<const double> range_m, Bytes reflectivity, View<const st
   require(range_m.rows() == packets.rows(), "range_m: a row for each packet");
   require(reflectivity.rows() == range_m.rows() && reflectivity.columns() == range_m.columns(),
           "reflectivity: one for each range");
-  require(std::ssize(number) <= packets::blocks_per_packet * packets::slots_per_block, "number: more than 384 slots");
+  require(std::ssize(number) <= packets::slots_per_packet, "number: more than 384 slots");
   require(all_below(number, range_m.columns()), "number: beyond the ranges");
 }
 
@@ -156,6 +156,7 @@ void bind_blocks(nb::module_& module, const char* decoder, const char* write) {
          double unit_m) {
         check_lasers(lasers);
         check_slots(slots, std::ssize(lasers.elevation));
+        require(std::ssize(slots.laser) % Maker::slots_per_block == 0, "slots.laser: of whole blocks");
         check_times(period_ns, group_ns);
         return Decoder(slots, lasers, period_ns, group_ns, unit_m);
       },
@@ -240,7 +241,7 @@ void bind_velodyne(nb::module_& module) {
       module, "uncorrect_velodyne_intensities",
       [](View<const std::int64_t> laser, Rows<const double> focal, Rows<std::uint8_t> packets) {
         require(packets.columns() == packets::Velodyne::packet_bytes, "packets: of another size");
-        require(std::ssize(laser) <= packets::blocks_per_packet * packets::slots_per_block,
+        require(std::ssize(laser) <= packets::slots_per_packet,
                 "laser: more than 384 slots");
         require(focal.columns() == 4, "focal: four for each laser");
         require(all_below(laser, focal.rows()), "laser: beyond the rows of focal");
@@ -344,6 +345,7 @@ void bind_packets(nb::module_& module) {
       "The CRC of each packet's bytes from first until end.", "packets", "first", "end");
   bind_velodyne(module);
   bind_blocks<packets::Robosense>(module, "RobosenseDecoder", "write_robosense_returns");
+  bind_blocks<packets::Airy>(module, "AiryDecoder", "write_airy_returns");
   bind_hesai(module);
   def(
       module, "fire",
