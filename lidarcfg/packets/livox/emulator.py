@@ -7,7 +7,7 @@ import socket
 import struct
 from collections.abc import Sequence
 
-from lidarcfg.packets.emulator import Answer, RequestError, Service, Site, Target
+from lidarcfg.packets.emulator import Answer, Emulator, RequestError, Service, Site, Target
 from lidarcfg.packets.livox import commands
 from lidarcfg.packets.livox.commands import Code, Command, Frame, Key, WorkMode
 from lidarcfg.packets.livox.layout import DataType
@@ -22,7 +22,7 @@ FIXED = {Key.DATA_TYPE: "kind of points", Key.PATTERN: "scan pattern", Key.FOV_O
 HOSTS = {Key.STATE_HOST: "its state", Key.POINT_HOST: "points", Key.IMU_HOST: "inertial measurements"}
 
 
-class LivoxEmulator:
+class LivoxEmulator(Emulator):
     """One sensor, of which a capture has packets of this kind, sent to this port."""
 
     def __init__(self, unit: Unit, kind: DataType, port: int, site: Site) -> None:
