@@ -79,6 +79,8 @@ class CaptureReader:
                     waiting = 0
                     waiting_bytes = 0
         chunk = self._take(last=True)
+        for warning in self._sources.strangers:
+            self._on_warning(warning)
         self._check_found()
         for stream in self._selected:
             if stream.damaged:
@@ -97,6 +99,8 @@ class CaptureReader:
             for key in dict.fromkeys(keys.tolist()):
                 self._streams[key] = None
                 parts.setdefault(key, []).append(found[keys == key])
+        for warning in self._sources.strangers:
+            self._on_warning(warning)
         self._check_found()
         return [self._recording(key, batches) for key, batches in parts.items()]
 

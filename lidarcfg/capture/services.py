@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from threading import Thread
-from typing import Any
+from typing import Any, cast
 
 from lidarcfg.errors import ConfigError, one_line, reason
 from lidarcfg.packets.emulator import RequestError, Service, Target
@@ -260,8 +260,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._full = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.DatagramTransport)
-        self._transport = transport
+        self._transport = cast(asyncio.DatagramTransport, transport)  # of which Python 3.11 derives none
 
     def pause_writing(self) -> None:
         self._full = True

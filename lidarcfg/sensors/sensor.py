@@ -205,7 +205,7 @@ class Sensor(Model):
     housing: Housing | None = None
     realism: MeasuredRealism | None = None
     ports: Ports | None = None
-    azimuth_fov_deg: AzimuthFov | None = None  # from, to, clockwise from the x axis; none: all around
+    azimuth_fov_deg: AzimuthFov | None = None  # from, to, clockwise from x; none: all around, or a scan pattern's own
     firing: Firing | None = None  # of beams, where there is no codec; none: FIRING
     codec: Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")] | None = None
     _file: "File" = PrivateAttr(default_factory=lambda: File(""))
@@ -282,6 +282,12 @@ class Sensor(Model):
         return self._pattern.channels if self._pattern else len(self.beams.elevation_deg)
 
     @property
+    def elevation_span_deg(self) -> tuple[float, float]:
+        """The lowest and the highest elevation."""
+        elevation_deg = np.degrees(self._pattern.elevation_rad) if self._pattern else self.beams.elevation_deg
+        return float(np.min(elevation_deg)), float(np.max(elevation_deg))
+
+    @property
     def elevation_rad(self) -> Array:
         """(count,) by laser id; empty with a scan pattern."""
         return np.radians(np.array(self.beams.elevation_deg, np.float64))
@@ -353,6 +359,8 @@ def _load(path: Path, own: bool = False) -> Sensor:
     if sensor.scan_pattern:
         with errors_at(path, "scan_pattern", "file"):
             sensor._pattern = load_scan_pattern(path.parent / sensor.scan_pattern.file, sensor.scan_pattern.frame_ns)
+        if sensor.azimuth_fov_deg is None:
+            sensor = sensor.model_copy(update={"azimuth_fov_deg": sensor._pattern.azimuth_fov_deg})
     return sensor
 
 
