@@ -127,6 +127,12 @@ class Slots:
     mirror: Array  # (slots,)
 
     @property
+    def sensors(self) -> list[Sensor]:
+        """Their sensors, and all that they may be of."""
+        chosen = [choice.sensor for slot in self.slots for choice in slot.choices if choice]
+        return [slot.sensor for slot in self.slots] + chosen
+
+    @property
     def boxes_m(self) -> list[tuple[Array, Array]] | None:
         """The lower and the upper corner (3,) of the box in which each may be; None if some sit on a surface."""
         if any(slot.surface for slot in self.slots):

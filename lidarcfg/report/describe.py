@@ -69,6 +69,12 @@ def beams(rig: Rig) -> int:
     return sum(mount.sensor.count for mount in rig.mounts)
 
 
+def beams_alone(rig: Rig) -> str:
+    """Which sensors have no part in max VSR, in words; empty if all have."""
+    names = [truncate(mount.name) for mount in rig.mounts if mount.sensor.scan_pattern]
+    return f"of beams alone, without {', '.join(names)}, which a scan pattern guides" if names else ""
+
+
 def describe_rig(rig: Rig) -> str:
     """The number of sensors of each model, and of beams."""
     models = [mount.sensor.name for mount in rig.mounts]

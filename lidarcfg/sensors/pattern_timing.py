@@ -11,7 +11,7 @@ from lidarcfg.sensors.scan_pattern import ScanPattern
 
 
 class PatternTiming(Timing):
-    """The timing of a sensor with a scan pattern and without packets: a firing counts as one. It has every return mode."""
+    """The timing of a sensor with a scan pattern and without packets: each firing counts as one."""
 
     def check(self, mount: Mount) -> None:
         """Each mount can be simulated."""
