@@ -24,6 +24,7 @@ from lidarcfg.report.blind_spots import (
     volumes_table,
 )
 from lidarcfg.report.describe import (
+    beams_alone,
     bounds_table,
     counted,
     date,
@@ -87,7 +88,7 @@ def report(
     own = _tables(study, rig, details)
     other = _tables(study, baseline.rig, baseline.details) if baseline else {}
     tables = {name: with_baseline_rows(table, other.get(name)) for name, table in own.items()}
-    summary = _summary(study, details, placement)
+    summary = _summary(study, rig, details, placement)
     what = "optimised" if placement else "evaluated"
     return render(
         "report.html",
@@ -183,16 +184,17 @@ def _drawings(
 
 def _of_baseline(study: Study, baseline: Baseline) -> list[KeyFigure]:
     """Its figures in a summary: the midpoint of the bounds is the study's, whatever the rig."""
-    return _summary(study, replace(baseline.details, midpoint_max_vsr_m=None))
+    return _summary(study, baseline.rig, replace(baseline.details, midpoint_max_vsr_m=None))
 
 
-def _summary(study: Study, details: ReportInputs, placement: Placement | None = None) -> list[KeyFigure]:
+def _summary(study: Study, rig: Rig, details: ReportInputs, placement: Placement | None = None) -> list[KeyFigure]:
     """Key figures; that which was minimised comes first."""
     found = details.evaluation
     midpoint = details.midpoint_max_vsr_m
     worst = found.worst[0]
     at = f"at {vector(worst.centroid_m, '.1f')} m"
-    largest = f"the largest of {counted(len(found.subspaces), 'subspace')}"
+    alone = beams_alone(rig)
+    largest = alone or f"the largest of {counted(len(found.subspaces), 'subspace')}"
     figures = []
     if placement and study.seeks_margin:
         figures.append(KeyFigure("Least margin", f"{placement.objective:+.0%}", "of what is demanded"))
@@ -208,7 +210,7 @@ def _summary(study: Study, details: ReportInputs, placement: Placement | None = 
         figures.append(
             KeyFigure("Analytic max VSR", value, f"± {bar.error_m / bar.max_vsr_m:.1%}, of the cones themselves")
         )
-    else:
+    elif not alone:
         figures.append(KeyFigure("Analytic max VSR", "not computed", "evaluate --tolerance computes it"))
     figures.append(
         KeyFigure("Largest sphere in the worst subspace", f"{2 * worst.inscribed_radius_m:.2f} m across", at)

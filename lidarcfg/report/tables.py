@@ -12,7 +12,7 @@ from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
-from lidarcfg.report.describe import counted, describe_places, describe_returns, price
+from lidarcfg.report.describe import beams_alone, counted, describe_places, describe_returns, price
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.text import MANY, summarize, terminal, truncate
 from lidarcfg.report.verdict import print_verdict
@@ -84,7 +84,8 @@ def print_evaluation(study: Study, rig: Rig, found: Evaluation, with_verdict: bo
         angles = np.degrees(mount.rpy_rad)
         poses.add_row(truncate(mount.name), *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
     console.print(poses)
-    console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
+    alone = beams_alone(rig)
+    console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces{', ' * bool(alone)}{alone}")
     if found.analytic:
         console.print(analytic_line(found.analytic))
     for zone in found.zones:

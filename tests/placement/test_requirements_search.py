@@ -40,7 +40,7 @@ sensors:
 requirements:
   - name: crates ahead
     object: {{size_m: [1, 1, 1]}}
-    within_m: [1, 3]
+    within_m: [1, 2.5]
     sector_deg: [-40, 40]
     headings_deg: [0, 30]
     returns: {returns}
@@ -177,7 +177,7 @@ objective: {max_vsr: 1}
     ids=["least margin", "objective", "draws"],
 )
 def test_skipping_and_threads_change_nothing(study, more, robust):
-    one = with_solver(yard(study, returns=4, more=more), evaluations=60 if robust else 150)
+    one = with_solver(yard(study, returns=4, more=more), evaluations=40 if robust else 80)
     found = optimize(one, threads=2)
     kept = found.log.cost < math.inf  # what was to beat was beaten
     for other in (optimize(one, threads=1), optimize(one, threads=2, skip=False)):
@@ -189,9 +189,9 @@ def test_skipping_and_threads_change_nothing(study, more, robust):
 
 def test_a_resumed_search_ends_the_same(study):
     one = yard(study, returns=4)
-    whole = optimize(with_solver(one, evaluations=160), threads=2)
+    whole = optimize(with_solver(one, evaluations=96), threads=2)
     begun = optimize(with_solver(one, evaluations=64), threads=2)
-    resumed = optimize(with_solver(one, evaluations=160), threads=2, log=begun.log)
+    resumed = optimize(with_solver(one, evaluations=96), threads=2, log=begun.log)
     assert resumed.rig == whole.rig
     assert (resumed.log.cost == whole.log.cost).all()
 

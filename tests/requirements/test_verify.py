@@ -59,6 +59,7 @@ def test_pass_and_fail(files, tmp_path):
     assert "2 of 2 requirements are not met" in done.stdout
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("vehicle", "reached"),
     [
@@ -66,10 +67,8 @@ def test_pass_and_fail(files, tmp_path):
         ("truck", {"pedestrian around the truck": 17, "child around the truck": 21}),
     ],
 )
-def test_the_rigs_that_come_along_meet_their_requirements(request, vehicle, reached):
+def test_the_rigs_that_come_along_meet_their_requirements(vehicle, reached):
     """Their files say so."""
-    if not request.config.getoption("--nightly"):
-        pytest.skip("takes half a minute; asked for by --nightly")
     study = "bus" if vehicle == "bus" else f"{vehicle}-requirements"
     done = lidarcfg("verify", ROOT / f"data/studies/{study}.yaml", ROOT / f"data/rigs/{vehicle}.yaml", "--json")
     found = {one["name"]: one["reached"] for one in json.loads(done.stdout)["requirements"]}
