@@ -17,7 +17,7 @@ from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, bytes_of, series_of
 from lidarcfg.packets.robosense.model import Facts, Unit, unit
-from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.firing import Batch, ranked
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor
@@ -63,6 +63,10 @@ class Robosense(SequenceTiming, Codec):
 
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, mount.dual, payloads.data)
+
+    def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
+        types = super().return_types(mount, range_m, reflectivity)
+        return ranked(types, self.unit.range.holds_both(range_m), reflectivity) if mount.dual else types
 
     def housekeeping(
         self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
