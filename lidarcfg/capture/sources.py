@@ -45,7 +45,9 @@ class Sources:
         self._mounts = rig.mounts if rig else ()
         self._model = load_sensor(model) if model else None
         self._catalogue = cache(_catalogued)
+        self._sidecar_files = cache(partial(_sidecar_files, path))
         self._families: dict[int, str | None] = {}  # by source; None: it is no LiDAR
+        self._at: dict[int, int] = {}  # the first LiDAR's source of an address and port
         self._others: dict[int, str] = {}  # the families of LiDARs' packets that are not the given sensor's, by source
         self._skipped: Counter[int] = Counter()  # how many of these came, by source
         self.other_sizes: Counter[int] = Counter()  # how many datagrams of which sizes are no LiDAR's
@@ -92,10 +94,10 @@ class Sources:
             if other := self._find_family(key, payloads, FAMILIES):
                 self._others[key] = other
         elif found:
-            for one, name in self._families.items():
-                if one >> 16 == key >> 16 and name not in (None, found):
-                    both = f"{name} ({_size(one)} bytes) and {found} ({_size(key)} bytes)"
-                    raise PacketError(f"{self._path}: {endpoint_name(key)} sends packets of two makers: {both}")
+            first = self._at.setdefault(key >> 16, key)
+            if first != key and self._families[first] != found:
+                both = f"{self._families[first]} ({_size(first)} bytes) and {found} ({_size(key)} bytes)"
+                raise PacketError(f"{self._path}: {endpoint_name(key)} sends packets of two makers: {both}")
         self._families[key] = found
 
     def _find_family(self, key: int, payloads: Sequence[bytes], names: Iterable[str]) -> str | None:
@@ -130,7 +132,7 @@ class Sources:
             where=f"{self._path}: {endpoint_name(key)}",
             host=host,
             port=port,
-            sidecar_files=partial(_sidecar_files, self._path),
+            sidecar_files=self._sidecar_files,
             payloads=partial(_payloads, self._path, host),
             on_warning=self._on_warning,
             driver_view=self._driver_view,

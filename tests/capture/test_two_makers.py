@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lidarcfg.capture import reader
 from lidarcfg.capture.decode import decode, decode_pcap
 from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.pcap import Datagram, write_pcap
+from lidarcfg.capture.selection import Selection
 from lidarcfg.errors import PacketError
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.world.scene import load_scene
@@ -84,3 +86,17 @@ def test_older_packets_of_hesai_are_refused_by_name(name, make, size, tmp_path):
     write_datagrams(tmp_path / "a.pcap", packets)
     with pytest.raises(PacketError, match=rf"(?i){ADDRESS} sends Hesai's {name} packets of {size} bytes; read are "):
         decode(tmp_path / "a.pcap", on_warning=no_warning)
+
+
+def test_more_sensors_than_can_be_decoded_together(mixed, tmp_path, monkeypatch):
+    """The limit is said; what --sensor names is read all the same."""
+    monkeypatch.setattr(reader, "SENSORS_MAX", 20)
+    packets = [one for one in datagrams_of(mixed / "alone.pcap") if one.port == 2368]
+    sent = [replace(one, host=f"10.0.0.{i}") for i, one in enumerate(packets[:15] * 2)]
+    write_datagrams(tmp_path / "a.pcap", sent[:20])
+    assert len(decode(tmp_path / "a.pcap", on_warning=no_warning).sensor_names) == 20
+    write_datagrams(tmp_path / "b.pcap", sent)
+    with pytest.raises(PacketError, match="packets of more than 20 addresses and ports; allowed: 20, or"):
+        decode(tmp_path / "b.pcap", on_warning=no_warning)
+    some = list(decode_pcap(tmp_path / "b.pcap", no_warning, selection=Selection(sensors=("10.0.0.29:2368",))))
+    assert some[0].sensor_names == ("10.0.0.29:2368",)
