@@ -17,6 +17,7 @@ FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne:Velodyne",
     "hesai": "lidarcfg.packets.hesai:Hesai",
     "robosense": "lidarcfg.packets.robosense:Robosense",
+    "livox": "lidarcfg.packets.livox:Livox",
     "ouster": "lidarcfg.packets.ouster:Ouster",
 }
 

@@ -3,6 +3,9 @@
 The table is a CSV with a header or an .npz, with a column each of `COLUMNS`: when a firing comes after the pattern's
 start, where it points, and which channel fires. It holds one frame, or so many that frames walk through it; then it
 starts again.
+
+An .npz may be packed instead: channels fire in turn at `rate_hz`; rows of `azimuth_steps` and `elevation_steps`, one a
+channel, hold by how many hundredths of a degree each firing differs from the channel's last one, the first from 0.
 """
 
 import math
@@ -20,7 +23,7 @@ from lidarcfg.config.models import FileName, Model
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.inputs import read_regular
-from lidarcfg.units import MILLISECOND_NS
+from lidarcfg.units import MILLISECOND_NS, SECOND_NS
 
 COLUMNS = {  # of the table, and the limits of their values
     "time_ns": (0, 10**12),
@@ -29,6 +32,8 @@ COLUMNS = {  # of the table, and the limits of their values
     "channel": (0, 255),
 }
 WHOLE = "time_ns", "channel"  # columns of whole numbers
+PACKED = "rate_hz", "azimuth_steps", "elevation_steps"
+HUNDREDTHS = 36000  # of a degree, all around
 GAP_DEG = 10.0  # without firings, from which on a pattern is not all around
 ROWS_MAX = 10_000_000
 CSV_MAX = 1 << 30  # bytes
@@ -154,7 +159,9 @@ def _fault(path: Path, row: int, name: str, what: str) -> ConfigError:
 
 def _read_npz(path: Path) -> dict[str, NDArray[Any]]:
     """The columns of an .npz. Raises LidarcfgError."""
-    columns = read_arrays(path, COLUMNS)
+    columns = read_arrays(path, (*COLUMNS, *PACKED))
+    if all(name in columns for name in PACKED):
+        columns = _unpacked(path, *(columns[name] for name in PACKED))
     _check_names(path, list(columns))
     for name, array in columns.items():
         if array.ndim != 1 or array.dtype.kind not in "iuf":
@@ -163,6 +170,25 @@ def _read_npz(path: Path) -> dict[str, NDArray[Any]]:
         if len(array) != len(columns["time_ns"]):
             raise ConfigError(f"{path}: {name}: has {len(array):,} values; time_ns has {len(columns['time_ns']):,}")
     return columns
+
+
+def _unpacked(path: Path, rate_hz: NDArray[Any], *steps: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """The columns of a packed pattern. Raises ConfigError."""
+    azimuth, elevation = steps
+    whole = all(one.ndim == 2 and one.dtype.kind in "iu" and one.shape == azimuth.shape for one in steps)
+    if not whole or not 1 <= len(azimuth) <= COLUMNS["channel"][1] + 1:
+        what = "are no tables of whole numbers, as long as each other, with a row for each of 1 to 256 channels"
+        raise ConfigError(f"{path}: azimuth_steps, elevation_steps: {what}")
+    if rate_hz.ndim or rate_hz.dtype.kind not in "iuf" or not 1 <= rate_hz <= SECOND_NS:
+        raise ConfigError(f"{path}: rate_hz: is no number of firings a second; allowed: 1 to {SECOND_NS:,}")
+    number = np.arange(azimuth.size)
+    hundredths = np.cumsum(azimuth.T, axis=0, dtype=np.int64).ravel() % HUNDREDTHS
+    return {
+        "time_ns": np.rint(number * (SECOND_NS / float(rate_hz))),
+        "azimuth_deg": hundredths / 100,
+        "elevation_deg": np.cumsum(elevation.T, axis=0, dtype=np.int64).ravel() / 100,
+        "channel": number % len(azimuth),
+    }
 
 
 def _read_csv(path: Path) -> dict[str, NDArray[Any]]:

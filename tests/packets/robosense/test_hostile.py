@@ -15,7 +15,7 @@ MOST_M = 65535 * 0.0025 + 0.035
 
 
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
-@pytest.mark.parametrize("model", ["helios-16p", "helios-32"])
+@pytest.mark.parametrize("model", ["helios-16p", "helios-32", "airy"])
 def test_changed_bytes(model, mode, tmp_path):
     rng, of, path = np.random.default_rng(7), mount(model, return_mode=mode), tmp_path / "drive.pcap"
     maker = codec(of.sensor)
