@@ -294,13 +294,13 @@ class Sensor(Model):
 
     @property
     def elevation_rad(self) -> Array:
-        """(count,) by laser id; empty with a scan pattern."""
-        return np.radians(np.array(self.beams.elevation_deg, np.float64))
+        """(count,) by laser id; 0 of a scan pattern's channels, whose firings have their own."""
+        return np.radians(self._table("elevation_deg"))
 
     @property
     def sin_elevation(self) -> Array:
-        """(count,) the sines of the elevations, ascending."""
-        return np.sort(maths.sin(self.elevation_rad))
+        """(beams,) the sines of the beams' elevations, ascending; none with a scan pattern."""
+        return np.sort(maths.sin(np.radians(np.array(self.beams.elevation_deg, np.float64))))
 
     @property
     def azimuth_offset_rad(self) -> Array:
