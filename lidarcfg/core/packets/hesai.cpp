@@ -29,12 +29,16 @@ struct Block {
   std::array<int, lasers_max> reflectivity;
   std::array<int, lasers_max> kind;
 
-  void read(const std::uint8_t* at, Index lasers) {
-    for (Index k = 0; k < lasers; ++k) {
-      std::uint32_t bytes;
-      std::memcpy(&bytes, at + k * Layout::return_bytes, sizeof bytes);
-      distance[k] = bytes & 65535;
-      reflectivity[k] = bytes >> 16 & 255;
+  void read(const std::uint8_t* at, const Layout& layout, int least) {
+    switch (layout.return_bytes) {
+      case 3:
+        return read<3>(at, layout.lasers, least);
+      case 4:
+        return read<4>(at, layout.lasers, least);
+      case 5:
+        return read<5>(at, layout.lasers, least);
+      default:
+        return read<6>(at, layout.lasers, least);
     }
   }
 
@@ -42,6 +46,18 @@ struct Block {
   void set(Index lasers, int single) {
     for (Index k = 0; k < lasers; ++k) {
       kind[k] = distance[k] != 0 ? single : no_return;
+    }
+  }
+
+ private:
+  template <Index return_bytes>
+  void read(const std::uint8_t* at, Index lasers, int least) {
+    for (Index k = 0; k < lasers; ++k) {
+      std::uint32_t bytes;
+      std::memcpy(&bytes, at + k * return_bytes, sizeof bytes);
+      const int units = bytes & 65535;
+      distance[k] = units < least ? 0 : units;
+      reflectivity[k] = bytes >> 16 & 255;
     }
   }
 };
@@ -71,17 +87,17 @@ void pair(Block& block, const Block& other, Index lasers, bool odd, int near, in
 
 }  // namespace
 
-Decoder::Decoder(const Lasers& lasers)
-    : layout_{std::ssize(lasers.ring), std::ssize(lasers.group_ns)},
+Decoder::Decoder(const Lasers& lasers, Index blocks, Index return_bytes, Distances distances)
+    : layout_{std::ssize(lasers.ring), blocks, return_bytes},
       loops_(lasers.offset_ns.rows()),
+      distances_(distances),
       cos_w_(owned(lasers.cos_elevation)),
       sin_w_(owned(lasers.sin_elevation)),
       cos_o_(owned(lasers.cos_offset)),
       sin_o_(owned(lasers.sin_offset)),
       ring_(owned(lasers.ring)),
       offset_ns_(lasers.offset_ns.data(), lasers.offset_ns.data() + lasers.offset_ns.size()),
-      group_ns_(owned(lasers.group_ns)),
-      pair_ns_(owned(lasers.pair_ns)) {}
+      near_ns_(lasers.near_ns.data(), lasers.near_ns.data() + lasers.near_ns.size()) {}
 
 Index Decoder::count(Rows<const std::uint8_t> packets, View<const bool> wanted) const {
   Index found = 0;
@@ -89,7 +105,7 @@ Index Decoder::count(Rows<const std::uint8_t> packets, View<const bool> wanted) 
     for (Index block = 0; block < (wanted[p] ? layout_.blocks : 0); ++block) {
       const std::uint8_t* at = layout_.returns(packets[p], block);
       for (Index k = 0; k < layout_.lasers; ++k) {
-        found += word(at + k * Layout::return_bytes) != 0;
+        found += word(at + k * layout_.return_bytes) != 0;
       }
     }
   }
@@ -109,22 +125,19 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
     const double unit_m = fields.unit_mm[p] / 1000.0;
     for (Index b = 0; b < layout_.blocks; ++b) {
       Block& block = pairs[b % 2];
-      std::int64_t start_ns = fields.stamp_ns[p];
-      Index loop = 0;
       if (fields.dual[p]) {
         if (b % 2 == 0) {
-          pairs[0].read(layout_.returns(packets[p], b), lasers);
-          pairs[1].read(layout_.returns(packets[p], b + 1), lasers);
+          pairs[0].read(layout_.returns(packets[p], b), layout_, distances_.least);
+          pairs[1].read(layout_.returns(packets[p], b + 1), layout_, distances_.least);
         }
         pair(block, pairs[1 - b % 2], lasers, b % 2 == 1, fields.near[p], fields.far[p]);
-        start_ns = later(start_ns, pair_ns_[b / 2]);
-        loop = fields.loop[p];
       } else {
-        block.read(layout_.returns(packets[p], b), lasers);
+        block.read(layout_.returns(packets[p], b), layout_, distances_.least);
         block.set(lasers, fields.near[p]);
-        start_ns = later(start_ns, group_ns_[b]);
-        loop = b % loops_;
       }
+      const std::int64_t start_ns = fields.start_ns(p, b);
+      const std::int64_t* offset_ns = &offset_ns_[fields.loop(p, b) * lasers];
+      const std::int64_t* near_ns = &near_ns_[fields.loop(p, b) * lasers];
       const double azimuth_rad = word(layout_.azimuth(packets[p], b)) * radians_per_hundredth;
       const auto [cos_a, sin_a] = cos_sin(azimuth_rad);
       for (Index k = 0; k < lasers; ++k) {  // with a return or without
@@ -142,7 +155,8 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
           throw std::invalid_argument("out: fewer rows than returns");
         }
         out.xyz_m[row] = {x[k], y[k], z[k]};
-        out.time_ns[row] = later(start_ns, offset_ns_[loop * lasers + k]);
+        const bool is_near = block.distance[k] * unit_m < distances_.near_m;
+        out.time_ns[row] = later(start_ns, is_near ? near_ns[k] : offset_ns[k]);
         out.laser[row] = static_cast<std::uint8_t>(k);
         out.ring[row] = ring_[k];
         out.intensity[row] = static_cast<std::uint8_t>(block.reflectivity[k]);
@@ -179,7 +193,7 @@ void write_returns(Tables<const double> range_m, Tables<const std::uint8_t> refl
       std::uint8_t* returns = layout.returns(packets[p], b);
       for (Index n = 0; n < firings; ++n) {
         const auto whole = static_cast<std::uint16_t>(units[n]);
-        std::uint8_t* at = returns + laser(p, first + n) * Layout::return_bytes;
+        std::uint8_t* at = returns + laser(p, first + n) * layout.return_bytes;
         at[0] = whole & 255;
         at[1] = whole >> 8;
         at[2] = whole > 0 ? reflectivity(p, first + n, column[b]) : 0;
