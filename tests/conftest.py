@@ -7,9 +7,21 @@ import pytest
 
 
 def pytest_addoption(parser):
-    parser.addoption(
-        "--nightly", action="store_true", help="the long form of tests/reliability: every command, many times"
+    parser.addoption("--nightly", action="store_true", help="all cases, and the long form of tests/reliability")
+
+
+def pytest_configure(config):
+    config.addinivalue_line(
+        "markers", "nightly: one more case of a test, whose others run always; with --nightly alone"
     )
+
+
+def pytest_collection_modifyitems(config, items):
+    if config.getoption("nightly"):
+        return
+    left_out = [item for item in items if item.get_closest_marker("nightly")]
+    items[:] = [item for item in items if not item.get_closest_marker("nightly")]
+    config.hook.pytest_deselected(items=left_out)
 
 
 @pytest.fixture

@@ -45,10 +45,10 @@ COMMANDS = {
 
 # What takes long takes less of it, and what serves a page until Ctrl-C writes the same page into a file.
 SUBSTITUTIONS = [
-    (r"--seconds [\d.]+", "--evaluations 250"),
-    (r"--evaluations \d{4,}", "--evaluations 300"),
+    (r"--seconds [\d.]+", "--evaluations 40"),
+    (r"--evaluations \d{2,}", "--evaluations 40"),
     (r"^sweep \S+", f"sweep {ROOT / 'tests/placement/studies/plan.yaml'}"),
-    (r"^(optimize (?!.*--evaluations).*)$", r"\1 --evaluations 250"),
+    (r"^(optimize (?!.*--evaluations).*)$", r"\1 --evaluations 40"),
     (r"--duration [\d.]+", "--duration 0.1"),
     (r"--tolerance [\d.]+", "--tolerance 0.1"),
     (r"^(replay .*?)( --speed [\d.]+x?)?( --from .*)?$", r"\1 --speed 100\3"),

@@ -6,6 +6,7 @@
 """
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,9 +15,10 @@ ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "api.md"
 HEAD = """# API reference
 
-Made from the docstrings by `tools/make_api.py`; a test keeps it up to date. It has the names that the package exports
-with the types that they return, and a line for each name of its packages. [From Python](python.md) shows how they
-work together. Lengths are metres, angles radians and times integer nanoseconds unless a name says otherwise.
+Made by `tools/make_api.py` from signatures and docstrings; a test keeps it up to date. It has the names that the
+package exports with the types that they return, and a line for each name of its packages; `help(name)` says all of
+each, its errors too. [From Python](python.md) shows how they work together. Lengths are metres, angles radians and
+times integer nanoseconds unless a name says otherwise.
 """
 Definition = ast.FunctionDef | ast.ClassDef
 
@@ -88,47 +90,67 @@ def reference() -> str:
                 seen.add((source, node.name))
                 some.append(definition(node, module(source).lines) if face == "lidarcfg" else line(node))
         if some:
-            parts += [f"## `{face}`\n", f"{module(face).doc}\n", *some]
+            parts += [f"## `{face}`\n", f"{first_paragraph(module(face).doc)}\n", *some]
             parts += [""] * (face != "lidarcfg")
     return "\n".join(parts)
 
 
 def definition(node: Definition, lines: list[str]) -> str:
-    """A class with its fields, comments included, and its public methods; or a function's signature; docstrings."""
+    """A class with its fields, comments included, and its public methods; or a function's signature."""
     parts = [f"### `{node.name}`", "", "```py", *lines[node.lineno - 1 : node.body[0].lineno - 1]]
     if isinstance(node, ast.ClassDef):
         for field in node.body:
-            if isinstance(field, ast.AnnAssign):
+            if isinstance(field, ast.AnnAssign) and is_public(field):
                 parts += lines[field.lineno - 1 : field.end_lineno]
-    parts += ["```", "", *(ast.get_docstring(node) or "").splitlines(), ""]
+    parts += ["```", "", *first_paragraph(ast.get_docstring(node) or "").splitlines(), ""]
     if isinstance(node, ast.ClassDef):
-        for method in node.body:
-            if isinstance(method, ast.FunctionDef) and not method.name.startswith("_"):
-                marks = {ast.unparse(mark) for mark in method.decorator_list}
-                kind = "property" if marks & {"property", "cached_property"} else "method"
-                text = " ".join((ast.get_docstring(method) or "").split())
-                name = method.name if kind == "property" else f"{method.name}({ast.unparse(method.args)})"
-                parts.append(f"- `{name}`{returns(method)}: {text}")
-        parts.append("")
+        methods = [one for one in node.body if isinstance(one, ast.FunctionDef) and not one.name.startswith("_")]
+        parts += [line(method) for method in methods]
+        parts += [""] * bool(methods)
     return "\n".join(parts)
 
 
+def is_public(field: ast.AnnAssign) -> bool:
+    """Whether it is a field that users read: neither private, nor the class's own."""
+    return not ast.unparse(field.target).startswith("_") and not ast.unparse(field.annotation).startswith("ClassVar")
+
+
 def line(node: Definition) -> str:
-    """A name with its arguments, and the first paragraph of its docstring."""
-    call = f"{node.name}({ast.unparse(node.args)})" if isinstance(node, ast.FunctionDef) else node.name
-    text = " ".join((ast.get_docstring(node) or "").partition("\n\n")[0].split())
-    return f"- `{call}`{returns(node) if isinstance(node, ast.FunctionDef) else ''}: {text}"
+    """A name with its arguments and what it returns, and the first sentence of its docstring."""
+    call = node.name
+    returned = ""
+    if isinstance(node, ast.FunctionDef):
+        marks = {ast.unparse(mark) for mark in node.decorator_list}
+        if not marks & {"property", "cached_property"}:
+            call += f"({', '.join(arguments(node.args))})"
+        if node.returns:
+            returned = f" → `{ast.unparse(node.returns).strip(chr(39))}`"
+    text = " ".join(first_paragraph(ast.get_docstring(node) or "").split())
+    return f"- `{call}`{returned}: {re.split(r'(?<=[.?]) (?=[A-Z`])', text)[0]}"
 
 
-def returns(method: ast.FunctionDef) -> str:
-    """What a method returns, as it is annotated."""
-    return f" → `{ast.unparse(method.returns).strip(chr(39))}`" if method.returns else ""
+def arguments(given: ast.arguments) -> Iterator[str]:
+    """Their names; `=…` where one may be left out."""
+    positional = [*given.posonlyargs, *given.args]
+    required = len(positional) - len(given.defaults)
+    for index, one in enumerate(positional):
+        if one.arg not in ("self", "cls"):
+            yield one.arg + "=…" * (index >= required)
+    if given.vararg:
+        yield f"*{given.vararg.arg}"
+    for one, default in zip(given.kwonlyargs, given.kw_defaults, strict=True):
+        yield one.arg + "=…" * (default is not None)
 
 
-def main(arguments: list[str]) -> int:
+def first_paragraph(text: str) -> str:
+    """Of a docstring."""
+    return text.partition("\n\n")[0]
+
+
+def main(words: list[str]) -> int:
     """Write the page, or compare it."""
     text = reference()
-    if arguments == ["--check"]:
+    if words == ["--check"]:
         return int(not PAGE.is_file() or PAGE.read_text() != text)
     PAGE.write_text(text)
     return 0

@@ -43,13 +43,14 @@ class CaptureReader:
         rig: Rig | None = None,
         model: str | None = None,
         selection: Selection = ALL,
+        driver_view: bool = False,
     ) -> None:
         self._path = Path(path)
         self._on_warning = on_warning
         self._rig = rig
         self._selection = selection
         self._window_ns = window_ns(path, selection)
-        self._sources = Sources(self._path, on_warning, rig, model)
+        self._sources = Sources(self._path, on_warning, rig, model, driver_view)
         self._streams: dict[int, Stream | None] = {}  # by source, in the order of their appearance; None: not selected
         self._sensor_names = tuple(mount.name for mount in rig.mounts) if rig else ()
         if rig:

@@ -32,10 +32,16 @@ class Sources:
     """Finds out who sends the datagrams of a capture. `model` is given for all, or the rig's mounts are."""
 
     def __init__(
-        self, path: Path, on_warning: Callable[[str], None], rig: Rig | None = None, model: str | None = None
+        self,
+        path: Path,
+        on_warning: Callable[[str], None],
+        rig: Rig | None = None,
+        model: str | None = None,
+        driver_view: bool = False,
     ) -> None:
         self._path = path
         self._on_warning = on_warning
+        self._driver_view = driver_view
         self._mounts = rig.mounts if rig else ()
         self._model = load_sensor(model) if model else None
         self._catalogue = cache(_catalogued)
@@ -94,6 +100,7 @@ class Sources:
             sidecar_files=partial(_sidecar_files, self._path),
             payloads=partial(_payloads, self._path, host),
             on_warning=self._on_warning,
+            driver_view=self._driver_view,
         )
 
     def sensor(self, key: int, packets: Bytes) -> Sensor:
@@ -128,10 +135,17 @@ def _catalogued(codec: str, name: str | None = None) -> list[Sensor]:
 
 
 def _sidecar_files(path: Path, suffix: str) -> Mapping[str, bytes]:
-    """The files beside a capture NAME.pcap that match NAME, NAME-* or NAME.*, followed by `suffix`."""
+    """The files beside a capture NAME.pcap that match NAME, NAME-*, NAME.* or NAME_<number>, followed by `suffix`.
+
+    NAME_0.json is what Ouster's recorder writes beside NAME.pcap; with a NAME_0.pcap there it is that one's.
+    """
     stem = escape(path.stem)
     end = escape(suffix)
     found = {file for between in ("", "-*", ".*") for file in path.parent.glob(stem + between + end)}
+    for file in path.parent.glob(f"{stem}_*{end}"):
+        number = file.name.removeprefix(f"{path.stem}_").removesuffix(suffix)
+        if number.isdecimal() and not path.with_stem(f"{path.stem}_{number}").exists():
+            found.add(file)
     try:
         return {str(one): read_regular(one, SIDECAR_MAX) for one in sorted(found)}
     except OSError as error:

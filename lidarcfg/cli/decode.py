@@ -59,6 +59,11 @@ if TYPE_CHECKING:
     metavar="NPZ",
     help="Also write each point's object, from the ground truth that export --truth wrote; needs --rig.",
 )
+@cloup.option(
+    "--driver-view",
+    is_flag=True,
+    help="Angles and times as the maker's driver computes them: Hesai's SDK with its firing time file, rs_driver.",
+)
 @cloup.option("--stats", is_flag=True, help="Print each sensor's model, return mode, speed and lost packets.")
 @quiet_option
 def decode(
@@ -74,6 +79,7 @@ def decode(
     sensors: tuple[str, ...],
     output: Path,
     truth: Path | None,
+    driver_view: bool,
     stats: bool,
     quiet: bool,
 ) -> None:
@@ -115,7 +121,9 @@ def decode(
             from lidarcfg.io.packet_bag import packets_of
 
             pcap = stack.enter_context(packets_of(pcap, mounted, warn))
-        clouds = decode_pcap(pcap, warn, mounted, model, on_stats=on_stats, selection=selection)
+        clouds = decode_pcap(
+            pcap, warn, mounted, model, on_stats=on_stats, selection=selection, driver_view=driver_view
+        )
         if truth and mounted:
             from lidarcfg.capture.objects import with_objects
 

@@ -119,18 +119,40 @@ class PointCloud:
 
 def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
     """The clouds as one; sensors of the same name are the same sensor."""
-    index: dict[str, int] = {}
-    sensor = [_sensor(cloud, index) for cloud in clouds]
-    columns = {
-        key: np.concatenate([np.empty((0, 3) if key == "xyz" else 0, kind), *(getattr(c, key) for c in clouds)])
-        for key, kind in FIELDS.items()
-        if key != "sensor"
-    }
-    columns["sensor"] = np.concatenate([np.empty(0, np.uint16), *sensor])
+    whole = gather(clouds, sum(len(cloud.xyz) for cloud in clouds))
     names: dict[str, int] = {}
+    objects = None
     if any(cloud.object is not None for cloud in clouds):
-        columns["object"] = np.concatenate([_object(cloud, names) for cloud in clouds])
-    return PointCloud(sensor_names=tuple(index), driver=_driver(clouds), object_names=tuple(names), **columns)
+        objects = np.concatenate([_object(cloud, names) for cloud in clouds])
+    return replace(whole, driver=_driver(clouds), object=objects, object_names=tuple(names))
+
+
+def gather(clouds: Iterable[PointCloud], points: int) -> PointCloud:
+    """The fields of clouds, of about so many points in all, as one; each may be let go before the next comes.
+
+    Memory that is not filled is given back. Sensors of the same name are the same sensor.
+    """
+    columns: dict[str, Any] = {
+        key: np.empty((points, 3) if key == "xyz" else points, kind) for key, kind in FIELDS.items()
+    }
+    index: dict[str, int] = {}
+    count = 0
+    for cloud in clouds:
+        rows = slice(count, count + len(cloud.xyz))
+        if rows.stop > points:
+            points = 2 * rows.stop
+            _resize(columns, points)
+        for key, column in columns.items():
+            column[rows] = _sensor(cloud, index) if key == "sensor" else getattr(cloud, key)
+        count = rows.stop
+    _resize(columns, count)
+    return PointCloud(sensor_names=tuple(index), **columns)
+
+
+def _resize(columns: Mapping[str, NDArray[Any]], rows: int) -> None:
+    """Make arrays that nobody else knows longer or shorter, where they are if memory allows."""
+    for column in columns.values():
+        column.resize((rows, *column.shape[1:]), refcheck=False)
 
 
 def _driver(clouds: Sequence[PointCloud]) -> dict[str, NDArray[Any]]:

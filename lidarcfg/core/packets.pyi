@@ -96,6 +96,8 @@ class HesaiLasers(Protocol):
     def offset_ns(self) -> Times: ...
     @property
     def near_ns(self) -> Times: ...
+    @property
+    def lag_ns(self) -> Times: ...
 
 class PacketFields(Protocol):
     """What Hesai packets say beside their blocks."""
@@ -112,6 +114,8 @@ class PacketFields(Protocol):
     def near(self) -> Bytes: ...
     @property
     def far(self) -> Bytes: ...
+    @property
+    def turn(self) -> Array: ...
 
 class VelodyneDecoder:
     """Decodes data packets (P, 1206) of one sensor."""
@@ -130,6 +134,15 @@ class VelodyneDecoder:
 
 class RobosenseDecoder:
     """The same of MSOP packets (P, 1248)."""
+
+    def __init__(self, slots: Slots, lasers: Lasers, period_ns: int, group_ns: int, unit_m: float) -> None: ...
+    def count(self, packets: Bytes, wanted: Flags) -> int: ...
+    def decode(
+        self, packets: Bytes, wanted: Flags, stamp_ns: Times, gap_ns: Times, kind: Bytes, out: Returns
+    ) -> int: ...
+
+class AiryDecoder:
+    """The same of an Airy's packets (P, 1248)."""
 
     def __init__(self, slots: Slots, lasers: Lasers, period_ns: int, group_ns: int, unit_m: float) -> None: ...
     def count(self, packets: Bytes, wanted: Flags) -> int: ...
@@ -164,6 +177,11 @@ def write_robosense_returns(
     range_m: Array, reflectivity: Bytes, number: Times, offset_m: Array, limits: Sequence[float], packets: Bytes
 ) -> None:
     """The same of packets (P, 1248)."""
+
+def write_airy_returns(
+    range_m: Array, reflectivity: Bytes, number: Times, offset_m: Array, limits: Sequence[float], packets: Bytes
+) -> None:
+    """The same of an Airy's packets."""
 
 def write_velodyne_near_returns(
     range_m: Array,

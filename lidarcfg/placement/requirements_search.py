@@ -26,12 +26,15 @@ from lidarcfg.requirements.places import FINEST_M, FINEST_RAD
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 
+FIRST_POINTS = 4  # that are judged in full
+POINTS_GROWTH = 3  # of the number of points, until the best so far is what the next have to beat
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
 
 class PointsFirst:
     """Given points first, then the study's solver, which starts from the best of them.
 
+    The points come in batches. In all but the first a point counts only if it is better than those before.
     By requirements `auto` is annealing at once: its trials move one sensor each, and the others need not be cast anew.
     """
 
@@ -41,7 +44,7 @@ class PointsFirst:
         self._points = points
         self._seed = (study.solver.seed + restarts) % 2**63
         self._search: Search | None = None
-        self._mean_cost = math.inf
+        self._known = np.empty(0)  # costs of points
         self.cycles = 0
         self.best_x = points[0]
         self.best_cost = math.inf
@@ -54,14 +57,18 @@ class PointsFirst:
     @property
     def mean_cost(self) -> float:
         """The mean cost of the population."""
-        return self._search.mean_cost if self._search else self._mean_cost
+        if self._search:
+            return self._search.mean_cost
+        known = self._known[np.isfinite(self._known)]
+        return float(known.mean()) if len(known) else math.inf
 
     def ask(self) -> Trials:
-        """The points, or the solver's next trials."""
+        """The next of the points, or the solver's next trials."""
         if self._search:
             return self._search.ask()
-        count = len(self._points)
-        return Trials("first", self._points, np.zeros(count, np.int64), np.full(count, np.inf))
+        done = len(self._known)
+        some = self._points[done : max(FIRST_POINTS, done * POINTS_GROWTH)]
+        return Trials("first", some, np.zeros(len(some), np.int64), np.full(len(some), self.best_cost))
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
@@ -74,7 +81,9 @@ class PointsFirst:
             self._search.tell(cost)
             self.cycles = self._search.cycles
             return
-        self._mean_cost = float(cost.mean())
+        self._known = np.concatenate([self._known, cost])
+        if len(self._known) < len(self._points):
+            return
         method = self._study.solver.method
         if method == "auto" and self._study.requirements:
             method = "annealing"

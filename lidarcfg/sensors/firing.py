@@ -6,7 +6,7 @@ each maker is a `Timing`; `schedule` has those of sensors that fire in sequences
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +19,7 @@ STRONGEST = 0  # types of returns
 LAST = 1
 SECOND = 2  # strongest, where the last is the strongest
 FIRST = 3
+NO_ELEVATIONS: Array = np.empty(0)
 RETURN_TYPES = {  # of each firing's returns, by return mode
     "strongest": (STRONGEST,),
     "last": (LAST,),
@@ -35,11 +36,13 @@ class Firings:
     """N firings of one sensor in flat columns, in the order in which packets hold them."""
 
     time_ns: Times  # (N,) device time
-    laser: Bytes  # (N,)
-    encoder_rad: Array  # (N,) where the head points, clockwise, 0 to 2π, unrounded
+    laser: Bytes  # (N,) or channel
+    encoder_rad: Array  # (N,) where the head points, clockwise, 0 to 2π, unrounded; or a scan pattern's azimuth
+    elevation_rad: Array = field(default_factory=lambda: NO_ELEVATIONS)  # (N,) of a scan pattern; empty: the laser's
 
     def __getitem__(self, rows: slice | np.ndarray) -> "Firings":
-        return Firings(self.time_ns[rows], self.laser[rows], self.encoder_rad[rows])
+        elevation_rad = self.elevation_rad[rows] if len(self.elevation_rad) else NO_ELEVATIONS
+        return Firings(self.time_ns[rows], self.laser[rows], self.encoder_rad[rows], elevation_rad)
 
 
 @dataclass(frozen=True)

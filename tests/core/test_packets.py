@@ -137,14 +137,14 @@ def test_a_gap_in_the_field_of_view():
 def hesai_lasers(**changed):
     given = {"cos_elevation": np.ones(2), "sin_elevation": np.zeros(2), "cos_offset": np.ones(2)}
     given |= {"sin_offset": np.zeros(2), "ring": np.arange(2, dtype=np.uint8)}
-    given |= {"offset_ns": np.array([[0, 5]]), "near_ns": np.array([[0, 6]])}
+    given |= {"offset_ns": np.array([[0, 5]]), "near_ns": np.array([[0, 6]]), "lag_ns": np.array([[0, 0]])}
     return SimpleNamespace(**given | changed)
 
 
 def fields(count=1, **changed):
     given = {"unit_mm": np.full(count, 4, np.uint8), "start_ns": np.full((count, 2), 20)}
     given |= {"dual": np.ones(count, np.bool_), "loop": np.zeros((count, 2), np.uint8)}
-    given |= {"near": np.zeros(count, np.uint8), "far": np.ones(count, np.uint8)}
+    given |= {"near": np.zeros(count, np.uint8), "far": np.ones(count, np.uint8), "turn": np.zeros(count)}
     return SimpleNamespace(**given | changed)
 
 

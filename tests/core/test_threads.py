@@ -30,10 +30,9 @@ def has_tsan(folder):
     return "data race" in subprocess.run([folder / "race"], capture_output=True, text=True, check=False).stderr
 
 
-def test_threads_do_not_race(request, tmp_path):
+@pytest.mark.nightly
+def test_threads_do_not_race(tmp_path):
     """The program compiles the kernels anew, which takes minutes."""
-    if not request.config.getoption("nightly"):
-        pytest.skip("long: runs with --nightly")
     if not shutil.which("cmake") or not has_tsan(tmp_path):
         pytest.skip("needs CMake and a compiler with ThreadSanitizer")
     build = tmp_path / "build"

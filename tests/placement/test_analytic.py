@@ -240,7 +240,11 @@ SWEEPS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SWEEPS)
+# Cases that take the same way through the kernel as one of the others.
+ALIKE = {"tilted", "three tilted", "in an exclusion", "apex on a line along x", "apex on a line along z"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.nightly] * (n in ALIKE)) for n in SWEEPS])
 def test_lines_see_what_plain_loops_see(name):
     """How many pieces a subspace has, and which belong together: the same. Lengths and normals come from bisection: to
     1e-9 of the largest.

@@ -137,7 +137,7 @@ def random_box(rng):
 
 def test_any_box_is_the_plain_loops():
     rng = np.random.default_rng(5)
-    for _ in range(6):
+    for _ in range(3):
         (low, high), origin = random_box(rng), rng.uniform((-4, -3, 0.2), (4, 3, 3))
         vertices, triangles = box(low, high)
         center = (low + high)[:2] / 2
@@ -239,7 +239,7 @@ OBJECTIVES = [
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
-@pytest.mark.parametrize(("method", "budget"), [("abc", "cycles: 4"), ("de", "evaluations: 300")])
+@pytest.mark.parametrize(("method", "budget"), [("abc", "cycles: 4"), ("de", "evaluations: 220")])
 def test_skipping_changes_no_search(boxed, objective, method, budget):
     study = boxed(objective, method, budget)
     runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]

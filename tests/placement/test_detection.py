@@ -91,12 +91,11 @@ def test_objects_that_do_not_fit():
 def touched_by_hand(box, size):
     """The labels of the cuboids in which a fine grid of the box's own points falls; None where one is left out."""
     x, y, z, heading = box
-    labels = set()
-    for a in np.linspace(-0.4999, 0.4999, 25) * size[0]:
-        for b in np.linspace(-0.4999, 0.4999, 25) * size[1]:
-            px, py = x + a * np.cos(heading) - b * np.sin(heading), y + a * np.sin(heading) + b * np.cos(heading)
-            for c in np.linspace(1e-6, 1 - 1e-6, 12) * size[2]:
-                labels.add(int(SPACES.label[int(px / 0.5), int(py / 0.5), int((z + c) / 0.25)]))
+    along = np.linspace(-0.4999, 0.4999, 25)
+    a, b, c = np.meshgrid(along * size[0], along * size[1], np.linspace(1e-6, 1 - 1e-6, 12) * size[2])
+    px, py = x + a * np.cos(heading) - b * np.sin(heading), y + a * np.sin(heading) + b * np.cos(heading)
+    cuboid = (px / 0.5).astype(int), (py / 0.5).astype(int), ((z + c) / 0.25).astype(int)
+    labels = set(SPACES.label[cuboid].ravel().tolist())
     return None if -1 in labels else labels
 
 

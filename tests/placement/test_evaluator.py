@@ -122,9 +122,9 @@ def test_a_search_with_a_deadline_evaluates_no_more_in_full(tmp_path, monkeypatc
     path = tmp_path / "s.yaml"
     path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + robust)
     study = load_study(path)
-    whole = optimize(with_solver(study, method="annealing", evaluations=2000), threads=1)
+    whole = optimize(with_solver(study, method="annealing", evaluations=800), threads=1)
     monkeypatch.setattr("lidarcfg.placement.evaluator.SLICE", 5)
-    sliced = optimize(with_solver(study, method="annealing", evaluations=2000, seconds=1e6), threads=1)
+    sliced = optimize(with_solver(study, method="annealing", evaluations=800, seconds=1e6), threads=1)
     assert history(sliced) == history(whole)
     assert sliced.full_evaluations < 1.02 * whole.full_evaluations
 
@@ -133,7 +133,7 @@ OBJECTS = """
 detection:
   - {name: box, size_m: [1, 0.5, 0.5]}
   - {name: post, size_m: [0.3, 0.2, 1], on_ground: true, threshold: 2}
-  - {name: drawn, size_m: [1.2, 0.6, 0.7], samples: 512}
+  - {name: drawn, size_m: [1.2, 0.6, 0.7], samples: 128}
 """
 
 
@@ -155,8 +155,7 @@ def test_skipping_changes_nothing_for_any_objective(tmp_path, objective, method)
         STUDY.format(beams="[-20, -8, 3, 12]", count=2, limit=9, seed=5) + OBJECTS + f"objective: {objective}\n"
     )
     study = load_study(path)
-    if method == "de":
-        study = with_solver(study, method="de", evaluations=600)
+    study = with_solver(study, cycles=10) if method == "abc" else with_solver(study, method="de", evaluations=300)
     runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]
     trials = runs[0].full_evaluations
     assert trials == runs[0].evaluations + runs[0].first_evaluations + runs[0].scout_evaluations
@@ -165,7 +164,7 @@ def test_skipping_changes_nothing_for_any_objective(tmp_path, objective, method)
         assert run.objective == runs[0].objective
         assert history(run) == history(runs[0])
         assert (run.full_evaluations, run.cuboids) == (runs[1].full_evaluations, runs[1].cuboids)
-        assert run.full_evaluations < 0.7 * trials
+        assert run.full_evaluations < (0.7 if method == "abc" else 0.95) * trials  # 180 of 300 are de's first ones
     poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in runs[0].rig.mounts])
     assert study.cost(poses) == runs[0].objective
 

@@ -38,7 +38,7 @@ sensors:
 requirements:
   - name: crates ahead
     object: {{size_m: [1, 1, 1]}}
-    within_m: [1, 3]
+    within_m: [1, 2.5]
     sector_deg: [-40, 40]
     headings_deg: [0, 30]
     returns: {returns}
@@ -152,7 +152,7 @@ objective: {max_vsr: 1}
     ids=["least margin", "objective", "draws"],
 )
 def test_skipping_and_threads_change_nothing(study, more, robust):
-    one = with_solver(yard(study, returns=4, more=more), evaluations=60 if robust else 150)
+    one = with_solver(yard(study, returns=4, more=more), evaluations=40 if robust else 80)
     found = optimize(one, threads=2)
     kept = found.log.cost < math.inf  # what was to beat was beaten
     for other in (optimize(one, threads=1), optimize(one, threads=2, skip=False)):
@@ -164,9 +164,9 @@ def test_skipping_and_threads_change_nothing(study, more, robust):
 
 def test_a_resumed_search_ends_the_same(study):
     one = yard(study, returns=4)
-    whole = optimize(with_solver(one, evaluations=160), threads=2)
+    whole = optimize(with_solver(one, evaluations=96), threads=2)
     begun = optimize(with_solver(one, evaluations=64), threads=2)
-    resumed = optimize(with_solver(one, evaluations=160), threads=2, log=begun.log)
+    resumed = optimize(with_solver(one, evaluations=96), threads=2, log=begun.log)
     assert resumed.rig == whole.rig
     assert (resumed.log.cost == whole.log.cost).all()
 
@@ -182,8 +182,9 @@ def test_no_result_is_worse_than_the_best_plain_rig(study):
     with RequirementsEvaluator(one, 2) as evaluator:
         costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], np.full(len(poses), np.inf))
     found = optimize(with_solver(one, evaluations=1), threads=2)
-    assert found.log.cost[: len(points)].tolist() == costs.tolist()
-    assert found.log.cost.min() <= costs.min()
+    told = found.log.cost[: len(points)]
+    assert told[told < math.inf].tolist() == costs[told < math.inf].tolist()
+    assert told.min() == costs.min()  # the others were given up where they could not beat those before
 
 
 def test_the_search_looks_through_the_slit(study):
@@ -233,8 +234,73 @@ def test_symmetric_combinations_count_once(study):
     assert prices == sorted(prices)
     expected = [sum(pair) for pair in combinations_with_replacement((4000, 7000, 0), 2) if any(pair)]
     assert prices == sorted(expected)
-    lopsided = study(CHOICE.replace("RETURNS", "10").replace("[-30, 30]", "[-30, 40]"))
-    assert len(distinct_options(lopsided)) == 3**2 - 1
+
+
+FOUR = """
+  - name: left2
+    choose: [vlp-16, vlp-32c]
+    min: {position_m: [-1, 0.4, 1.5], rpy_deg: [0, 0, 0]}
+    max: {position_m: [-0.5, 0.4, 1.8], rpy_deg: [0, 0, 0]}
+  - name: right2
+    choose: [vlp-16, vlp-32c]
+    min: {position_m: [-1, -0.4, 1.5], rpy_deg: [0, 0, 0]}
+    max: {position_m: [-0.5, -0.4, 1.8], rpy_deg: [0, 0, 0]}
+  - name: back
+    model: vlp-16
+    min: {position_m: [-1, 0, 1], rpy_deg: [0, 0, 180]}
+    max: {position_m: [-1, 0, 1.4], rpy_deg: [0, 0, 180]}
+prices:"""
+
+ASIDE = """
+  - name: aside
+    model: vlp-16
+    min: {position_m: [0, 0.1, 2], rpy_deg: [0, 0, 0]}
+    max: {position_m: [0, 0.4, 2], rpy_deg: [0, 0, 0]}
+prices:"""
+ZONES = """
+objective: {max_vsr: 1}
+zones: [{name: left, min_m: [-8, 1, 0], max_m: [8, 8, 4], weight: 2}]
+solver:"""
+WEDGE = """OFF
+4 4 0
+0 0 0
+1 0 0
+0 1 0
+0 0 1
+3 0 2 1
+3 0 1 3
+3 1 2 3
+3 2 0 3
+"""
+
+
+def test_all_groups_are_mirrored_at_once(study):
+    """To exchange left and right in front alone is no symmetry of a rig whose rear differs from side to side."""
+    one = study(CHOICE.replace("RETURNS", "10").replace("\nprices:", FOUR))
+    front = [a + b for a in "16n" for b in "16n"]
+    rear = [a + b for a in "16" for b in "16"]
+    seen = {frozenset([(f, r), (f[::-1], r[::-1])]) for f in front for r in rear}
+    assert len(options(one)) == len(front) * len(rear)
+    assert len(distinct_options(one)) == len(seen)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("[-30, 30]", "[-30, 40]"),
+        ("headings_deg: [0]", "headings_deg: [0, 30]"),
+        ("{size_m: [1, 1, 1]}", "{mesh: wedge.off}"),
+        ("  - {name: budget", "  - {name: crossing, scenario: cpna}\n  - {name: budget"),
+        ("center_m: [0, 0, 0.7]", "center_m: [0, 0.1, 0.7]"),
+        ("\nprices:", ASIDE),
+        ("\nsolver:", ZONES),
+    ],
+    ids=["sector", "headings", "object", "scenario", "body", "another group", "zones"],
+)
+def test_what_is_lopsided_has_no_symmetry(study, change, tmp_path):
+    (tmp_path / "wedge.off").write_text(WEDGE)
+    one = study(CHOICE.replace("RETURNS", "10").replace(*change))
+    assert len(distinct_options(one)) == len(options(one)) >= 3**2 - 1
 
 
 @pytest.mark.parametrize("returns", [300, 100_000])

@@ -59,10 +59,9 @@ def test_pass_and_fail(files, tmp_path):
     assert "2 of 2 requirements are not met" in done.stdout
 
 
-def test_the_bus_that_comes_along_meets_its_requirements(request):
+@pytest.mark.nightly
+def test_the_bus_that_comes_along_meets_its_requirements():
     """Its files say so."""
-    if not request.config.getoption("--nightly"):
-        pytest.skip("takes half a minute; asked for by --nightly")
     done = lidarcfg("verify", ROOT / "data/studies/bus.yaml", ROOT / "data/rigs/bus.yaml", "--json")
     found = {one["name"]: one["reached"] for one in json.loads(done.stdout)["requirements"]}
     assert done.returncode == 0

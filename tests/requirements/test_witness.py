@@ -39,9 +39,8 @@ def test_beside_brute_force():
     assert some >= 3
 
 
-def test_beside_brute_force_on_200_rigs(request):
-    if not request.config.getoption("--nightly"):
-        pytest.skip("takes minutes; asked for by --nightly")
+@pytest.mark.nightly
+def test_beside_brute_force_on_200_rigs():
     differ, off, some = agreement(200, 12)
     assert differ == []
     assert len(off) <= 10

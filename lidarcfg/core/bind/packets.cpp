@@ -52,7 +52,7 @@ struct Fields<packets::hesai::Lasers> {
   static constexpr auto members =
       fields(field("cos_elevation", &T::cos_elevation), field("sin_elevation", &T::sin_elevation),
              field("cos_offset", &T::cos_offset), field("sin_offset", &T::sin_offset), field("ring", &T::ring),
-             field("offset_ns", &T::offset_ns), field("near_ns", &T::near_ns));
+             field("offset_ns", &T::offset_ns), field("near_ns", &T::near_ns), field("lag_ns", &T::lag_ns));
 };
 
 template <>
@@ -60,7 +60,7 @@ struct Fields<packets::hesai::PacketFields> {
   using T = packets::hesai::PacketFields;
   static constexpr auto members =
       fields(field("unit_mm", &T::unit_mm), field("start_ns", &T::start_ns), field("loop", &T::loop),
-             field("dual", &T::dual), field("near", &T::near), field("far", &T::far));
+             field("dual", &T::dual), field("near", &T::near), field("far", &T::far), field("turn", &T::turn));
 };
 
 namespace {
@@ -124,9 +124,9 @@ void check_lasers(const packets::Lasers& lasers) {
 void check_slots(const packets::Slots& slots, Index lasers) {
   const Index width = std::ssize(slots.laser);
   const Index groups = slots.fraction.rows();
-  require(width > 0 && width % packets::slots_per_block == 0, "slots.laser: of whole blocks of 32");
-  require(groups > 0 && groups * width <= packets::blocks_per_packet * packets::slots_per_block,
-          "slots.fraction: of groups that fill at most twelve blocks");
+  require(width > 0 && width % packets::slots_per_column == 0, "slots.laser: of whole columns of 32");
+  require(groups > 0 && groups * width <= packets::slots_per_packet,
+          "slots.fraction: of groups that fill at most a packet");
   require(slots.fraction.columns() == width, "slots.fraction: one for each laser");
   require(slots.offset_ns.rows() == groups && slots.offset_ns.columns() == width,
           "slots.offset_ns: one for each fraction");
@@ -147,7 +147,7 @@ void check_encoded(Rows<const double> range_m, Bytes reflectivity, View<const st
   require(range_m.rows() == packets.rows(), "range_m: a row for each packet");
   require(reflectivity.rows() == range_m.rows() && reflectivity.columns() == range_m.columns(),
           "reflectivity: one for each range");
-  require(std::ssize(number) <= packets::blocks_per_packet * packets::slots_per_block, "number: more than 384 slots");
+  require(std::ssize(number) <= packets::slots_per_packet, "number: more than 384 slots");
   require(all_below(number, range_m.columns()), "number: beyond the ranges");
 }
 
@@ -161,6 +161,7 @@ void bind_blocks(nb::module_& module, const char* decoder, const char* write) {
          double unit_m) {
         check_lasers(lasers);
         check_slots(slots, std::ssize(lasers.elevation));
+        require(std::ssize(slots.laser) % Maker::slots_per_block == 0, "slots.laser: of whole blocks");
         check_times(period_ns, group_ns);
         return Decoder(slots, lasers, period_ns, group_ns, unit_m);
       },
@@ -245,8 +246,7 @@ void bind_velodyne(nb::module_& module) {
       module, "uncorrect_velodyne_intensities",
       [](View<const std::int64_t> laser, Rows<const double> focal, Rows<std::uint8_t> packets) {
         require(packets.columns() == packets::Velodyne::packet_bytes, "packets: of another size");
-        require(std::ssize(laser) <= packets::blocks_per_packet * packets::slots_per_block,
-                "laser: more than 384 slots");
+        require(std::ssize(laser) <= packets::slots_per_packet, "laser: more than 384 slots");
         require(focal.columns() == 4, "focal: four for each laser");
         require(all_below(laser, focal.rows()), "laser: beyond the rows of focal");
         packets::uncorrect_intensities(laser, focal, packets);
@@ -263,8 +263,11 @@ void check_hesai_lasers(const packets::hesai::Lasers& lasers) {
   require(lasers.sin_offset.size() == count, "lasers.sin_offset: one for each ring");
   require(lasers.offset_ns.rows() > 0 && lasers.offset_ns.columns() == static_cast<Index>(count),
           "lasers.offset_ns: at least one loop, with one for each ring");
-  require(lasers.near_ns.rows() == lasers.offset_ns.rows() && lasers.near_ns.columns() == lasers.offset_ns.columns(),
-          "lasers.near_ns: as many as offset_ns");
+  const auto is_by_laser = [&](Rows<const std::int64_t> rows) {
+    return rows.rows() == lasers.offset_ns.rows() && rows.columns() == lasers.offset_ns.columns();
+  };
+  require(is_by_laser(lasers.near_ns), "lasers.near_ns: one for each of offset_ns");
+  require(is_by_laser(lasers.lag_ns), "lasers.lag_ns: one for each of offset_ns");
 }
 
 void check_hesai_layout(const packets::hesai::Layout& layout) {
@@ -311,6 +314,7 @@ void bind_hesai(nb::module_& module) {
         require(fields.dual.size() == count, "fields.dual: one for each packet");
         require(fields.near.size() == count, "fields.near: one for each packet");
         require(fields.far.size() == count, "fields.far: one for each packet");
+        require(fields.turn.size() == count, "fields.turn: one for each packet");
         check_returns(out);
         return self.decode(packets, wanted, fields, out);
       },
@@ -357,6 +361,7 @@ void bind_packets(nb::module_& module) {
       "The CRC of each packet's bytes from first until end.", "packets", "first", "end");
   bind_velodyne(module);
   bind_blocks<packets::Robosense>(module, "RobosenseDecoder", "write_robosense_returns");
+  bind_blocks<packets::Airy>(module, "AiryDecoder", "write_airy_returns");
   bind_hesai(module);
   def(
       module, "fire",

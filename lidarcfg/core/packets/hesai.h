@@ -42,6 +42,7 @@ struct Lasers {
   View<const std::uint8_t> ring;       // (L,)
   Rows<const std::int64_t> offset_ns;  // (loops, L) when each laser fires, after its block's start
   Rows<const std::int64_t> near_ns;    // (loops, L) the same for returns from nearer than `near_m`
+  Rows<const std::int64_t> lag_ns;     // (loops, L) how long the head turns from a block's azimuth to the laser's
 };
 
 /// What distances mean.
@@ -58,6 +59,7 @@ struct PacketFields {
   View<const bool> dual;              // (P,)
   View<const std::uint8_t> near;      // (P,) the kind of single returns, or of a pair's nearer one
   View<const std::uint8_t> far;       // (P,) the kind of a pair's farther return
+  View<const double> turn;            // (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
 };
 
 /// Stands for a pair's kinds in `near` and `far`, where the block tells which is the strongest.
@@ -77,7 +79,7 @@ class Decoder {
   /// Fill in the returns of the packets that are wanted, in their order; returns how many. Throws
   /// std::invalid_argument if there are not enough rows.
   ///
-  /// All lasers of a block point where its azimuth says.
+  /// A laser points where its block's azimuth says, its own offset and the turn in its lag further.
   Index decode(Rows<const std::uint8_t> packets, View<const bool> wanted, const PacketFields& fields,
                const Returns& out) const;
 
@@ -88,7 +90,7 @@ class Decoder {
   std::vector<double> cos_w_, sin_w_;  // (L,) of the elevation
   std::vector<double> cos_o_, sin_o_;  // (L,) of the azimuth offset
   std::vector<std::uint8_t> ring_;
-  std::vector<std::int64_t> offset_ns_, near_ns_;  // (loops, L)
+  std::vector<std::int64_t> offset_ns_, near_ns_, lag_ns_;  // (loops, L)
 };
 
 /// Write the returns of packets into their blocks: block b holds column `column[b]` of those of group b / (B / G).

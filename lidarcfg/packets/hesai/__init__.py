@@ -1,8 +1,8 @@
 """Hesai's packets.
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
-`telemetry` the files of angles, `encode` and `decode` the returns. `Hesai` is the codec, by which the rest of the
-package knows them.
+`telemetry` the files of angles, `encode` and `decode` the returns, `emulator` PTC. `Hesai` is the codec, by
+which the rest of the package knows them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,7 +13,9 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.emulator import Site
 from lidarcfg.packets.hesai import decode, encode, telemetry
+from lidarcfg.packets.hesai.emulator import HesaiEmulator
 from lidarcfg.packets.hesai.layout import bytes_of
 from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, resolutions, sending, unit, unit_of
 from lidarcfg.packets.point_fields import STAMPED
@@ -104,9 +106,13 @@ class Hesai(Codec):
         if beams is None:
             what = f"no *{telemetry.SUFFIX} beside it; the nominal angles of {unit.name} are taken"
             source.on_warning(f"{source.where}: {what}")
-            return decode.HesaiDecoder(source.where, unit)
+            return decode.HesaiDecoder(source.where, unit, source.driver_view)
         sensor = unit.sensor.model_copy(update={"beams": beams})
-        return decode.HesaiDecoder(source.where, Unit(sensor, unit.facts))
+        return decode.HesaiDecoder(source.where, Unit(sensor, unit.facts), source.driver_view)
+
+    def emulator(self, source: Source, packets: Bytes, site: Site) -> HesaiEmulator:
+        """PTC."""
+        return HesaiEmulator(self.unit, source, site)
 
     def firing_ns(self) -> Times:
         """(L,) in the first loop; for a laser that rests there, in the next in which it does not."""

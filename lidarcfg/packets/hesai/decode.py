@@ -30,6 +30,7 @@ from lidarcfg.packets.hesai.layout import (
 from lidarcfg.packets.hesai.model import Unit, resolutions, sending
 from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST, Batch, Firings
 from lidarcfg.sensors.rig import SINGLE
+from lidarcfg.units import MINUTE_NS
 
 PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
 LASERS = {16, 32, 40, 64, 128}
@@ -54,6 +55,7 @@ class PacketFields(NamedTuple):
     dual: Flags  # (P,) whether neighbouring blocks hold two returns of the same firings
     near: Bytes  # (P,) the type of a pair's nearer return, or of single returns
     far: Bytes  # (P,) the type of a pair's farther return
+    turn: Array  # (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
 
 
 class Lasers(NamedTuple):
@@ -66,14 +68,16 @@ class Lasers(NamedTuple):
     ring: Bytes
     offset_ns: Times  # (loops, L) after the block's start
     near_ns: Times  # (loops, L) the same for what is near
+    lag_ns: Times  # (loops, L) how long the head turns from a block's azimuth to the laser's
 
 
 class HesaiDecoder(Decoder):
     """Decodes the packets of one Hesai sensor."""
 
-    def __init__(self, where: str, unit: Unit) -> None:
+    def __init__(self, where: str, unit: Unit, driver_view: bool = False) -> None:
         self._where = where
         self._unit = unit
+        self._driver_view = driver_view
         self._counter = PacketLossCounter(unit)
         self.period_ns = unit.period_ns()
 
@@ -100,13 +104,16 @@ class HesaiDecoder(Decoder):
         return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
-        return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False)
+        return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False, driver_view=self._driver_view)
 
 
-def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True) -> Returns:
+def decode(
+    unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True, driver_view: bool = False
+) -> Returns:
     """The returns of packets (P,), or of those that are wanted (P,). Without `polar`, ranges and azimuths are empty.
 
-    All lasers of a block point where its azimuth says, as published drivers have it: see docs/hesai.md.
+    All lasers of a block point where its azimuth says, as published drivers have it: see docs/hesai.md. With
+    `driver_view`, each points where the head has turned when it fires, as in Hesai's SDK with its firing time file.
     Raises PacketError.
     """
     check(unit, packets)
@@ -119,7 +126,7 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
     for mode, pair in PAIR_KINDS.items():
         near[mode], far[mode] = pair
     dual = is_dual(packets)
-    start_ns, loop = _blocks(unit, packets, dual)
+    start_ns, loop = _blocks(unit, packets, dual, driver_view)
     fields = PacketFields(
         unit_mm=np.ascontiguousarray(packets["header"]["unit_mm"]),
         start_ns=start_ns,
@@ -127,6 +134,7 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         dual=dual,
         near=near[modes],
         far=far[modes],
+        turn=packets["tail"]["rpm"] * (driver_view * unit.facts.packet.speed_unit_rpm * 2 * np.pi / MINUTE_NS),
     )
     data = bytes_of(packets)
     decoder = _decoder(unit)
@@ -134,23 +142,24 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
     return out.first(decoder.decode(data, wanted, fields, out))
 
 
-def _blocks(unit: Unit, packets: Packets, dual: Flags) -> tuple[Times, Bytes]:
+def _blocks(unit: Unit, packets: Packets, dual: Flags, driver_view: bool) -> tuple[Times, Bytes]:
     """(P, B) when the blocks of packets start, and their loops: of all resolutions, one after the other."""
     standard, *others = resolutions(unit)
-    start_ns = _starts_ns(standard, packets, dual)
+    start_ns = _starts_ns(standard, packets, dual, driver_view)
     loop = _loops(standard, packets, dual)
     before = len(standard.fires)
     for other in others:
         rows = packets["operational_state"] == other.operational_state
-        start_ns[rows] = _starts_ns(other, packets[rows], dual[rows])
+        start_ns[rows] = _starts_ns(other, packets[rows], dual[rows], driver_view)
         loop[rows] = before + _loops(other, packets[rows], dual[rows])
         before += len(other.fires)
     return start_ns, loop
 
 
-def _starts_ns(unit: Unit, packets: Packets, dual: Flags) -> Times:
+def _starts_ns(unit: Unit, packets: Packets, dual: Flags, driver_view: bool = False) -> Times:
     """(P, B): when the blocks of packets of this resolution start."""
-    after_ns = np.stack([unit.group_ns(dual=False), np.repeat(unit.group_ns(dual=True), 2)])
+    group_ns = unit.driver_group_ns if driver_view else unit.group_ns
+    after_ns = np.stack([group_ns(dual=False), np.repeat(group_ns(dual=True), 2)])
     return np.asarray(device_time_ns(packets)[:, None] + after_ns[dual.astype(np.int64)])
 
 
@@ -214,6 +223,7 @@ def _decoder(unit: Unit) -> core.HesaiDecoder:
         ring=sensor.ring.astype(np.uint8),
         offset_ns=np.concatenate([one.offset_ns for one in resolutions(unit)]),
         near_ns=np.concatenate([one.near_ns for one in resolutions(unit)]),
+        lag_ns=np.concatenate([one.driver_lag_ns for one in resolutions(unit)]),
     )
     facts = unit.facts.packet
     return core.HesaiDecoder(lasers, facts.blocks, return_bytes(unit.dtype), unit.near_m, facts.least_units)

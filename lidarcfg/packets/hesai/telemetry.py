@@ -18,14 +18,19 @@ NAMED = re.compile(r"-\d+\.\d+\.\d+\.\d+-\d+-angles\.csv$")  # whose they are, b
 ROW = re.compile(r"\s*(\d+)\s*,\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*,?\s*")
 
 
-def correction_file(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
-    """The mount's angles in the format of Hesai's own files, by the suffix of the file's name."""
-    sensor = unit.sensor
-    rows = zip(sensor.beams.elevation_deg, sensor.beams.azimuth_offset_deg or (0.0,) * unit.count, strict=True)
-    lines = [
+def correction_lines(unit: Unit) -> list[str]:
+    """The model's angles in the format of Hesai's own files."""
+    beams = unit.sensor.beams
+    rows = zip(beams.elevation_deg, beams.azimuth_offset_deg or (0.0,) * unit.count, strict=True)
+    return [
         "Channel,Elevation,Azimuth",
         *(f"{k},{elevation!r},{offset!r}" for k, (elevation, offset) in enumerate(rows, 1)),
     ]
+
+
+def correction_file(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
+    """The mount's angles, by the suffix of the file's name."""
+    lines = correction_lines(unit)
     return {f"-{mount.host}-{mount.data_port}{SUFFIX}": "\n".join([*lines, ""]).encode()}
 
 

@@ -15,7 +15,7 @@ from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
-from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, bytes_of, packets_of
+from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, bytes_of, series_of
 from lidarcfg.packets.robosense.model import Facts, Unit, unit
 from lidarcfg.sensors.firing import Batch
 from lidarcfg.sensors.rig import Mount
@@ -45,9 +45,10 @@ class Robosense(SequenceTiming, Codec):
         return self.unit.firing_schedule(dual=False).since_first_ns
 
     def check(self, mount: Mount) -> None:
-        if mount.return_mode not in MODES:
+        series = self.unit.series
+        if mount.return_mode not in series.modes:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
-            raise ConfigError(f"{what}; a Helios sends the strongest, the last, the first, or dual")
+            raise ConfigError(f"{what}; packets of {series.name} hold the strongest, the last, the first, or dual")
         if mount.data_port == mount.telemetry_port:
             raise ConfigError(f"telemetry_port is {mount.telemetry_port}, the data_port; DIFOP needs a port of its own")
         if mount.phase_deg is not None and mount.phase_deg % 1:
@@ -74,12 +75,13 @@ class Robosense(SequenceTiming, Codec):
         found = decode.return_modes(self.unit, source, packets)
         if found is not None:
             return found
-        first = decode.undamaged(packets_of(packets))
-        tables = decode.decode_tables(self.unit, source, first, telemetry.find_difop(source))
-        return np.full(len(packets), MODES[tables.return_mode], np.int64)
+        series = self.unit.series
+        first = decode.undamaged(packets, series)
+        tables = decode.decode_tables(self.unit, source, first, telemetry.find_difop(source, series))
+        return np.full(len(packets), series.modes[tables.return_mode], np.int64)
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        return decode.measurements(self.unit, packets, host_ns, decode.NAMES[mode])
+        return decode.measurements(self.unit, packets, host_ns, self.unit.series.mode_names[mode])
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:
@@ -88,13 +90,16 @@ class Robosense(SequenceTiming, Codec):
 
     @classmethod
     def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
-        first = decode.undamaged(packets_of(packets))
-        return decode.identify(source.where, first, telemetry.find_difop(source), [unit(one) for one in known()]).sensor
+        series = series_of(packets)
+        first = decode.undamaged(packets, series)
+        difop = telemetry.find_difop(source, series)
+        return decode.identify(source.where, first, series, difop, [unit(one) for one in known()]).sensor
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        first = decode.undamaged(packets_of(packets))
-        difop = telemetry.find_difop(source)
-        decode.check_msop(source.where, first)
+        series = self.unit.series
+        first = decode.undamaged(packets, series)
+        difop = telemetry.find_difop(source, series)
+        decode.check_msop(source.where, first, series)
         if trusted:
             decode.check_model(source.where, self.unit, first, difop)
         tables = decode.decode_tables(self.unit, source, first, difop)

@@ -220,7 +220,7 @@ def test_early_firmware_without_difop(tmp_path, model, mode, found):
             True,
             "sends the unknown model 0x09; known: 0x03 helios-16p, 0x01 helios-32; or give --model",
         ),
-        ([(31, b"\x31")], True, "sends the LiDAR type 0x31; known: 0x06 Helios"),
+        ([(31, b"\x32")], True, "sends the LiDAR type 0x32; known: 0x06 Helios, 0x31 Airy"),
         ([(32, b"\x02")], False, "no DIFOP near its start, and those of model 0x02 are not helios-32's"),
         ([(42, b"\xff\xdd")], True, "sends the block flag 0xFFDD; allowed: 0xFFEE"),
     ],
