@@ -69,10 +69,15 @@ def beams(rig: Rig) -> int:
     return sum(mount.sensor.count for mount in rig.mounts)
 
 
+def has_cones(rig: Rig) -> bool:
+    """Whether some sensor has beams, whose cones max VSR is about."""
+    return not all(mount.sensor.scan_pattern for mount in rig.mounts)
+
+
 def beams_alone(rig: Rig) -> str:
     """Which sensors have no part in max VSR, in words; empty if all have."""
     names = [truncate(mount.name) for mount in rig.mounts if mount.sensor.scan_pattern]
-    return f"of beams alone, without {', '.join(names)}, which a scan pattern guides" if names else ""
+    return f"of beams alone, without those with scan patterns: {', '.join(names)}" if names else ""
 
 
 def describe_rig(rig: Rig) -> str:

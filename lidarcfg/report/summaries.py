@@ -120,8 +120,8 @@ def _scene(path: Path) -> tuple[str, Iterable[str]]:
 def _sensor(path: Path) -> tuple[str, Iterable[str]]:
     sensor = load_sensor(path.resolve())
     low, high = sensor.elevation_span_deg
-    what = "channels" if sensor.scan_pattern else "beams"
-    text = f"{sensor.name}, {sensor.count} {what} from {low:g}° to {high:g}°; {_packets(sensor)}"
+    what = counted(sensor.count, "channel" if sensor.scan_pattern else "beam")
+    text = f"{sensor.name}, {what} from {low:.6g}° to {high:.6g}°; {_packets(sensor)}"
     return text, ()
 
 

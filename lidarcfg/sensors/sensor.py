@@ -30,7 +30,7 @@ from lidarcfg.config.models import (
 )
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.realism import MeasuredRealism
 from lidarcfg.sensors.scan_pattern import PatternFile, ScanPattern, load_scan_pattern
 
@@ -133,6 +133,11 @@ class Range(Model):
         """The least and the greatest distance that packets have."""
         limits = self.reported or self
         return limits.min_m, limits.max_m
+
+    def holds_both(self, range_m: Array) -> Flags:
+        """(N,) which pairs of distances (N, 2) are both such that packets have them."""
+        least_m, most_m = self.reported_m
+        return np.asarray(((range_m >= least_m) & (range_m <= most_m)).all(axis=1))
 
 
 class Ports(Model):
@@ -289,13 +294,13 @@ class Sensor(Model):
 
     @property
     def elevation_rad(self) -> Array:
-        """(count,) by laser id; empty with a scan pattern."""
-        return np.radians(np.array(self.beams.elevation_deg, np.float64))
+        """(count,) by laser id; 0 of a scan pattern's channels, whose firings have their own."""
+        return np.radians(self._table("elevation_deg"))
 
     @property
     def sin_elevation(self) -> Array:
-        """(count,) the sines of the elevations, ascending."""
-        return np.sort(maths.sin(self.elevation_rad))
+        """(beams,) the sines of the beams' elevations, ascending; none with a scan pattern."""
+        return np.sort(maths.sin(np.radians(np.array(self.beams.elevation_deg, np.float64))))
 
     @property
     def azimuth_offset_rad(self) -> Array:
