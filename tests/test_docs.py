@@ -288,6 +288,7 @@ def test_yaml_on_a_page_is_what_it_looks_like(page, tmp_path):
             "vary": PlanFile,
             "region": StudyFile,
             "beams": Sensor,
+            "scan_pattern": Sensor,
             "target": ScenarioFile,
             "sensors": RigFile,
             "ground": SceneFile,

@@ -166,10 +166,9 @@ def _surfaces(tracer: Tracer, bodies: Tracer | None) -> Surfaces:
 
 
 def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:
-    elevation_rad = np.zeros(sensor.count) if sensor.scan_pattern else sensor.elevation_rad  # each firing has its own
     return Lasers(
-        cos_elevation=maths.cos(elevation_rad),
-        sin_elevation=maths.sin(elevation_rad),
+        cos_elevation=maths.cos(sensor.elevation_rad),
+        sin_elevation=maths.sin(sensor.elevation_rad),
         cos_offset=maths.cos(sensor.azimuth_offset_rad),
         sin_offset=maths.sin(sensor.azimuth_offset_rad),
         forward_m=np.ascontiguousarray(sensor.forward_offset_m),
