@@ -65,10 +65,13 @@ class Services:
         self._loop.run_until_complete(self._serve())
 
     async def _serve(self) -> None:
-        for port in self._ports:
-            await port.open()
-        self._running.set_result(None)
-        await self._stop.wait()
+        try:
+            for port in self._ports:
+                await port.open()
+            self._running.set_result(None)
+            await self._stop.wait()
+        except OSError as error:
+            self._running.set_exception(error)
         for port in self._ports:
             port.close()
         await asyncio.sleep(0)  # transports close in the loop's next turn

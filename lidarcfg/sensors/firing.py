@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array, Bytes, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.scan_pattern import ScanPattern
 from lidarcfg.sensors.sensor import Sensor
@@ -32,6 +32,15 @@ RETURN_TYPES = {  # of each firing's returns, by return mode
     "first-strongest": (FIRST, STRONGEST),
     "two-strongest": (STRONGEST, SECOND),
 }
+
+
+def ranked(types: Bytes, both: Flags, reflectivity: Bytes) -> Bytes:
+    """The types (N, 2) of pairs of which the strongest is called the second strongest where the other outshines it.
+
+    So decoders name them. `both` (N,) says which firings have two returns.
+    """
+    weaker = (types == STRONGEST) & both[:, None] & (reflectivity < reflectivity[:, ::-1])
+    return np.where(weaker, SECOND, types).astype(np.uint8)
 
 
 @dataclass(frozen=True)

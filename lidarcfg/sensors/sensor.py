@@ -30,7 +30,7 @@ from lidarcfg.config.models import (
 )
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.realism import MeasuredRealism
 from lidarcfg.sensors.scan_pattern import PatternFile, ScanPattern, load_scan_pattern
 
@@ -133,6 +133,11 @@ class Range(Model):
         """The least and the greatest distance that packets have."""
         limits = self.reported or self
         return limits.min_m, limits.max_m
+
+    def holds_both(self, range_m: Array) -> Flags:
+        """(N,) which pairs of distances (N, 2) are both such that packets have them."""
+        least_m, most_m = self.reported_m
+        return np.asarray(((range_m >= least_m) & (range_m <= most_m)).all(axis=1))
 
 
 class Ports(Model):

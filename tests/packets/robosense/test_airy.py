@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import check_exportable, in_time_order, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.packets.families import codec
@@ -18,6 +19,9 @@ from lidarcfg.packets.robosense.model import unit
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.geodesy import GeoOrigin
+from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, no_warning, scene, write_datagrams
 from tests.naive import airy as naive
 from tests.packets.robosense.fixtures import mount
@@ -169,6 +173,25 @@ def test_headers_are_the_guides(tmp_path, sensor):
     assert set(np.diff(stamps_us).tolist()) == {444, 445}  # table 8: 444.44 us
 
 
+def test_inertial_measurements(tmp_path, sensor):
+    """In a curve to the left at 10 m/s with 0.5 rad/s, lying on its side: its y points down, its z inwards."""
+    on_its_side = mount("airy", sensor=sensor, position_m=(0.0, 0.0, 0.0), rpy_rad=(-np.pi / 2, 0.0, 0.0))
+    curve = Motion(arc=Arc(speed_m_s=10.0, yaw_rate_deg_s=float(np.degrees(0.5))))
+    driven = Trajectory(np.eye(4), build_path(curve), START_NS)
+    _, sent = codec(sensor).housekeeping(on_its_side, driven, GeoOrigin(), START_NS, SECOND_NS // 10)
+    assert (sent.port, sent.data.shape) == (6688, (20, 51))
+    for n, one in enumerate(sent.data):
+        found = naive.imu(one.tobytes())
+        assert found["time_us"] * 1000 == START_NS + n * 5_000_000
+        assert found["acceleration_g"] == pytest.approx([0, -1, 5 / 9.80665], abs=0.001)
+        assert found["angular_velocity_rad_s"] == pytest.approx([0, -0.5, 0], abs=0.001)
+        assert (found["rate_hz"], int.from_bytes(found["count"])) == (200, n + 1)
+    path, _ = exported(tmp_path, mount("airy", sensor=sensor, settings=Section({"imu": False})), 20_000_000)
+    assert not payloads(path, 6688)
+    with pytest.raises(ConfigError, match="port 6688 is the inertial measurements'; give another data_port"):
+        check_exportable(mount("airy", data_port=6688), 10**9)
+
+
 def test_lost_and_repeated_packets(tmp_path, sensor):
     """The counter begins again after 65535; one that comes again is dropped; two bits above a distance are not of it."""
     path, _ = exported(tmp_path, mount("airy", sensor=sensor), 20_000_000)
@@ -186,7 +209,8 @@ def test_lost_and_repeated_packets(tmp_path, sensor):
 
     fewer = rewritten(path, change)
     sent = datagrams_of(fewer)
-    write_datagrams(fewer, [*sent[:9], *sent[8:]])
+    again = next(n for n, one in enumerate(sent) if n > 8 and one.port == 6699)
+    write_datagrams(fewer, [*sent[: again + 1], *sent[again:]])
     cloud, stats = decoded_with_stats(fewer)
     assert (stats.lost, stats.duplicates) == (3, 1)
     whole, _ = decoded_with_stats(path)

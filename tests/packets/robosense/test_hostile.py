@@ -22,7 +22,7 @@ def test_changed_bytes(model, mode, tmp_path):
     batch = next(maker.schedule(of, START_NS, 40, 40))
     shape = len(batch.firings.time_ns), 1 + (mode == "dual")
     msop = maker.encode(of, batch, rng.uniform(1, 40, shape), rng.integers(0, 256, shape, np.uint8)).data
-    (difop,) = maker.housekeeping(of, None, None, START_NS, 1)
+    difop = next(maker.housekeeping(of, None, None, START_NS, 1))
     good, errors = 0, []
     for _ in range(60):
         sent, said = msop.copy(), difop.data[0].copy()
