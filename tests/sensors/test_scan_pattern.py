@@ -194,11 +194,11 @@ def test_frames_walk_through_a_pattern(tmp_path):
     found_ns, found = pattern.walk(3, 10)
     assert found_ns.tolist() == times_ns[3:10]
     assert found.tolist() == [3, 0, 1, 2, 3, 0, 1]
-    assert pattern.azimuth_fov_deg == (0.0, 3.01)
+    assert pattern.azimuth_fov_deg == pytest.approx((0.0, 3.0), abs=0.0101)
     around = write(tmp_path, [(n, n * 9, 0, 0) for n in range(40)], name="around").with_suffix(".csv")
     assert load_scan_pattern(around, 100).azimuth_fov_deg is None
     behind = write(tmp_path, [(n, 170.5 + n, 0, 0) for n in range(20)], name="behind").with_suffix(".csv")
-    assert load_scan_pattern(behind, 100).azimuth_fov_deg == (170.5, 189.51)
+    assert load_scan_pattern(behind, 100).azimuth_fov_deg == pytest.approx((170.5, 189.5), abs=0.0101)
 
 
 def test_the_same_from_csv_and_npz(tmp_path):
