@@ -14,12 +14,15 @@ from lidarcfg.errors import LidarcfgError
 from lidarcfg.packets.families import timing
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.study import load_study
+from lidarcfg.requirements.detection import Rule, check_scenario
+from lidarcfg.requirements.scenario import load_scenario
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.sensors.scan_pattern import load_scan_pattern
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.beams import passing_beams
 from lidarcfg.simulate.returns import PHASES, Lowest, Target, compiled, count_lowest, returns, scanner
 from lidarcfg.world.obstacles import NO_OBSTACLES
+from lidarcfg.world.vehicle import load_vehicle
 from tests.capture_fixtures import no_warning
 from tests.command_line import lidarcfg
 from tests.naive import returns as naive
@@ -381,3 +384,15 @@ def test_from_study_to_verdict(tmp_path):
     shown = lidarcfg("sensors", "show", "own.yaml", "--png", "own.png", cwd=tmp_path).stdout
     assert "1,500" in shown
     assert (tmp_path / "own.png").stat().st_size > 10_000
+
+
+def test_a_scenario_is_that_of_a_head_that_turns(twins):
+    """Frame by frame of a run the same points of the target."""
+    sedan = load_vehicle("data/vehicles/sedan.ply")
+    runs = []
+    for path in (twins[0], twins[2]):
+        one = mount(str(path), (0.4, 0.1, 1.9), (0, 3, 0))
+        found = check_scenario(load_scenario("cpnco"), [one], sedan, speeds_km_h=[20], rule=Rule(returns=3))
+        runs.append([(case.worst.start, case.worst.returns.tolist()) for case in found.cases])
+    assert runs[0] == runs[1]
+    assert all(sum(counts) > 20 for _, counts in runs[0])
