@@ -20,7 +20,12 @@ PORT_NAMES = {FIND_PORT: "Livox's discovery", 56100: "Livox's commands"}
 COMMAND_PORTS = {9: 56100, 10: 56000}  # by type of device: Livox-SDK2 (08f523c), sdk_core/comm/define.h
 STATE_PORTS = {9: (56200, 56201), 10: (56000, 56000)}  # the sensor's, the host's
 APPLICATION = b"\x01"  # the type of firmware that is not the loader
-FIXED = {Key.DATA_TYPE: "kind of points", Key.PATTERN: "scan pattern", Key.FOV_ON: "field of view"}
+FIXED = {
+    Key.DATA_TYPE: "kind of points",
+    Key.PATTERN: "scan pattern",
+    Key.PAIRS: "number of returns",
+    Key.FOV_ON: "field of view",
+}
 HOSTS = {Key.STATE_HOST: "its state", Key.POINT_HOST: "points", Key.IMU_HOST: "inertial measurements"}
 
 
