@@ -256,7 +256,8 @@ def question(case: Case, makers: bool) -> Question | None:
         model = fuzz_makers.MADE[case.below(len(fuzz_makers.MADE))][0] if case.seldom(4) or not odd.model else odd.model
         mounted = fuzz_makers.rig(model) if case.seldom(4) else None
         named = model if case.seldom(3) else None
-        limits = fuzz_makers.RETURNS_MAX, fuzz_makers.REACH_M, fuzz_makers.SPAN_S
+        reach_m = fuzz_makers.LIVOX_REACH_M if odd.model in fuzz_makers.LIVOX else fuzz_makers.REACH_M
+        limits = fuzz_makers.RETURNS_MAX, reach_m, fuzz_makers.SPAN_S
         return Question(odd.content, odd.count, odd.beside, mounted, named, *limits)
     content, count = capture(case, number)
     model = MODELS[(case.below(len(MODELS)) if case.seldom(4) else number) % len(MODELS)]

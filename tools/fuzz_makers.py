@@ -20,7 +20,9 @@ from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory
 
 START_NS = 1_700_000_000 * 10**9
-HESAI, ROBOSENSE = ("pandar-xt32", "pandar-xt16", "xt32m2x", "qt128"), ("helios-16p", "helios-32", "airy")
+HESAI = "pandar-xt32", "pandar-xt16", "xt32m2x", "qt128", "ot128", "jt128", "pandar128"
+ROBOSENSE = "helios-16p", "helios-32", "airy"
+LIVOX = "mid-360", "hap"
 OUSTER = {  # profile and return mode
     "RNG19_RFL8_SIG16_NIR16": "strongest",
     "RNG19_RFL8_SIG16_NIR16_DUAL": "dual",
@@ -31,6 +33,7 @@ OUSTER = {  # profile and return mode
 MADE = [
     *((model, mode, "") for model in (*HESAI, *ROBOSENSE) for mode in ("strongest", "last", "first", "dual")),
     *((model, mode, "") for model in HESAI for mode in ("first-last", "first-strongest")),
+    *((model, "strongest", "") for model in LIVOX),
     ("qt128", "two-strongest", ""),
     *(("os0-32", mode, profile) for profile, mode in OUSTER.items()),
 ]
@@ -39,6 +42,7 @@ SEEDS = len(MADE) + RECORDED
 PACKETS = 200
 RETURNS_MAX, SPAN_S = 4096, 0.05  # of a packet: an OS0-128 with dual returns; of most captures
 REACH_M = 65535 * 0.255 + 10.0  # a Hesai's header says the unit, up to 255 mm
+LIVOX_REACH_M = 2**31 / 1000 * 3**0.5  # coordinates are 32 bits of millimetres
 FRAGMENT_OFFSET = RECORD.itemsize + ETHERNET_HEADER.itemsize + 6
 ODD = (b"\x00", b"\xff", b"\x01", b"\x80")
 
