@@ -26,7 +26,7 @@ from lidarcfg.requirements.places import FINEST_M, FINEST_RAD
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 
-FIRST_POINTS = 4  # that are judged in full
+FIRST_POINTS = 2  # that are judged in full
 POINTS_GROWTH = 3  # of the number of points, until the best so far is what the next have to beat
 LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
