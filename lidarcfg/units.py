@@ -1,6 +1,7 @@
 """Units of time in nanoseconds: every time inside is an int64 of these."""
 
 MICROSECOND_NS = 10**3
+MILLISECOND_NS = 10**6
 SECOND_NS = 10**9
 MINUTE_NS = 60 * SECOND_NS
 HOUR_NS = 3600 * SECOND_NS

@@ -20,7 +20,7 @@ from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory
 
 START_NS = 1_700_000_000 * 10**9
-HESAI, ROBOSENSE = ("pandar-xt32", "pandar-xt16", "xt32m2x", "qt128"), ("helios-16p", "helios-32")
+HESAI, ROBOSENSE = ("pandar-xt32", "pandar-xt16", "xt32m2x", "qt128"), ("helios-16p", "helios-32", "airy")
 OUSTER = {  # profile and return mode
     "RNG19_RFL8_SIG16_NIR16": "strongest",
     "RNG19_RFL8_SIG16_NIR16_DUAL": "dual",

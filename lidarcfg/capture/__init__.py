@@ -6,7 +6,7 @@ files, `selection` leaves out what is not wanted. `scans` cuts the points into r
 
 The other way: `export` gives what the sensors of a rig send in a scene, `ground_truth` what each return hit, which
 `objects` reads again. `manifest` says what a capture was made of, and `manifest_writer` writes it. `replay` sends a
-capture over the network.
+capture over the network; `emulation` finds its sensors that answer drivers meanwhile, on the ports of `services`.
 """
 
 import lazy_loader

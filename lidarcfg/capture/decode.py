@@ -17,13 +17,15 @@ from lidarcfg.capture.manifest import load_manifest, rig_file
 from lidarcfg.capture.reader import CHUNK_PACKETS, CaptureReader
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.capture.stream import Packets, SourceStats
-from lidarcfg.clouds.cloud import PointCloud, concatenate
+from lidarcfg.clouds.cloud import PointCloud, concatenate, gather
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import transform
 from lidarcfg.packets.codec import Returns
 from lidarcfg.sensors.rig import Rig, load_rig
 
+POINT_BYTES = 3  # that a return takes at least in a capture: distance and intensity
+POINTS_AT_FIRST = 1 << 26  # for which a cloud has room, however large its capture
 ROWS = 1 << 14  # points transformed at once: for more, BLAS starts threads of its own
 
 
@@ -32,11 +34,13 @@ def decode(
     rig: Rig | str | Path | None = None,
     on_warning: Callable[[str], None] = print,
     deskew: bool = False,
+    driver_view: bool = False,
 ) -> PointCloud:
     """All points of a capture as one cloud: in the rig's vehicle frame, or deskewed by its manifest in the world frame.
 
     Without a rig, that of the capture's manifest is used; without one, or with the rig "none", each point is in its
-    sensor's own frame. Raises PacketError, also for a capture without points, and ConfigError.
+    sensor's own frame. With `driver_view`, angles and times are as the makers' own drivers compute them: Hesai's SDK
+    with its firing time file, rs_driver. Raises PacketError, also for a capture without points, and ConfigError.
     """
     path = Path(path)
     motion = load_manifest(path).motion() if deskew else None
@@ -45,7 +49,9 @@ def decode(
         rig = load_rig(file) if file else None
     if motion and not rig:
         raise ConfigError(f"{path}: deskewing needs the rig, which says where the sensors are on the vehicle")
-    cloud = concatenate(list(decode_pcap(path, on_warning, rig)))
+    size = path.stat().st_size if path.is_file() else 0
+    clouds = decode_pcap(path, on_warning, rig, driver_view=driver_view)
+    cloud = gather(clouds, min(size // POINT_BYTES, POINTS_AT_FIRST))
     return replace(cloud, xyz=motion.world(cloud.xyz, cloud.time_ns)) if motion else cloud
 
 
@@ -57,15 +63,17 @@ def decode_pcap(
     chunk_packets: int = CHUNK_PACKETS,
     on_stats: Callable[[SourceStats], None] | None = None,
     selection: Selection = ALL,
+    driver_view: bool = False,
 ) -> Iterator[PointCloud]:
     """The capture's points in clouds of at most about `chunk_packets` packets; memory does not grow with its length.
 
     With a rig the points are in the vehicle frame and the sensors are its mounts. Without one the points of each source
     (called host:port) are in its sensor's frame, and `sensor_names` grows as sources appear. `model` overrides what the
     packets say. `on_warning` gets a line if the file is cut off, `on_stats` the figures of each source at the end. A
-    selected part decodes exactly as it does within the whole capture. Raises PacketError and ConfigError.
+    selected part decodes exactly as it does within the whole capture. `driver_view` is that of `decode`. Raises
+    PacketError and ConfigError.
     """
-    reader = CaptureReader(path, on_warning, rig, model, selection)
+    reader = CaptureReader(path, on_warning, rig, model, selection, driver_view)
     yield from decode_chunks(reader.chunks(chunk_packets))
     if on_stats:
         for stats in reader.stats():

@@ -112,7 +112,7 @@ def check_exportable(mount: Mount, duration_ns: int) -> None:
     except ConfigError as error:
         hint = "" if sensor.codec else "; write points instead: .ply, .pcd, .npz, .mcap or a folder"
         raise error if error.at else ConfigError(f"{mount.name}: {error}{hint}") from None
-    for key in ("rotation", "range"):
+    for key in ("range",) if sensor.scan_pattern else ("rotation", "range"):
         if getattr(sensor, key) is None:
             raise ConfigError(f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts")
     checked_timing(mount, duration_ns)

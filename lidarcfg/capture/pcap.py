@@ -47,6 +47,7 @@ class Datagram:
     source_port: int
     port: int  # the one it was sent to
     payload: bytes
+    later_ns: int = 0  # than it was captured, if it is sent again
 
 
 def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:

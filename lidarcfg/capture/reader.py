@@ -20,6 +20,7 @@ from lidarcfg.sensors.sensor import Sensor
 
 CHUNK_PACKETS = 1024
 CHUNK_BYTES = 1 << 21  # of packets
+SENSORS_MAX = 10_000  # of a capture that are decoded together; each takes memory and time of its own
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,14 @@ class CaptureReader:
         rig: Rig | None = None,
         model: str | None = None,
         selection: Selection = ALL,
+        driver_view: bool = False,
     ) -> None:
         self._path = Path(path)
         self._on_warning = on_warning
         self._rig = rig
         self._selection = selection
         self._window_ns = window_ns(path, selection)
-        self._sources = Sources(self._path, on_warning, rig, model)
+        self._sources = Sources(self._path, on_warning, rig, model, driver_view)
         self._streams: dict[int, Stream | None] = {}  # by source, in the order of their appearance; None: not selected
         self._sensor_names = tuple(mount.name for mount in rig.mounts) if rig else ()
         if rig:
@@ -78,6 +80,8 @@ class CaptureReader:
                     waiting = 0
                     waiting_bytes = 0
         chunk = self._take(last=True)
+        for warning in self._sources.strangers:
+            self._on_warning(warning)
         self._check_found()
         for stream in self._selected:
             if stream.damaged:
@@ -96,6 +100,8 @@ class CaptureReader:
             for key in dict.fromkeys(keys.tolist()):
                 self._streams[key] = None
                 parts.setdefault(key, []).append(found[keys == key])
+        for warning in self._sources.strangers:
+            self._on_warning(warning)
         self._check_found()
         return [self._recording(key, batches) for key, batches in parts.items()]
 
@@ -125,7 +131,8 @@ class CaptureReader:
 
     def _take(self, last: bool) -> list[Packets]:
         """The packets that each stream can give now."""
-        return [packets for stream in self._selected if (packets := stream.take(self._sensor_names, last))]
+        streams = [stream for stream in self._selected if last or stream.fresh]
+        return [packets for stream in streams if (packets := stream.take(self._sensor_names, last))]
 
     def _stream(self, key: int) -> Stream | None:
         """The stream of a new source: with a rig, of the mount at its address; None if the source is not selected."""
@@ -138,6 +145,9 @@ class CaptureReader:
             return None
         if mount is None:
             index = len(self._sensor_names)
+            if index == SENSORS_MAX:
+                what = f"LiDAR packets of more than {SENSORS_MAX:,} addresses and ports"
+                raise PacketError(f"{self._path}: {what}; allowed: {SENSORS_MAX:,}, or the few that --sensor names")
             self._sensor_names = (*self._sensor_names, name)
         sender = Sender(
             where=f"{self._path}: {name}",

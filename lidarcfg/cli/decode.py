@@ -59,6 +59,11 @@ if TYPE_CHECKING:
     metavar="NPZ",
     help="Also write each point's object, from the ground truth that export --truth wrote; needs --rig.",
 )
+@cloup.option(
+    "--driver-view",
+    is_flag=True,
+    help="Angles and times as the maker's driver computes them: Hesai's SDK with its firing time file, rs_driver.",
+)
 @cloup.option("--stats", is_flag=True, help="Print each sensor's model, return mode, speed and lost packets.")
 @quiet_option
 def decode(
@@ -74,6 +79,7 @@ def decode(
     sensors: tuple[str, ...],
     output: Path,
     truth: Path | None,
+    driver_view: bool,
     stats: bool,
     quiet: bool,
 ) -> None:
@@ -115,7 +121,9 @@ def decode(
             from lidarcfg.io.packet_bag import packets_of
 
             pcap = stack.enter_context(packets_of(pcap, mounted, warn))
-        clouds = decode_pcap(pcap, warn, mounted, model, on_stats=on_stats, selection=selection)
+        clouds = decode_pcap(
+            pcap, warn, mounted, model, on_stats=on_stats, selection=selection, driver_view=driver_view
+        )
         if truth and mounted:
             from lidarcfg.capture.objects import with_objects
 
@@ -133,8 +141,9 @@ def decode(
 
 
 def _stats_line(source: "SourceStats") -> str:
+    speed = f"{source.rpm:.1f} rpm" if source.rpm > 0 else "speed not known"  # of a single packet it is not a number
     return (
-        f"{source.name}: {' or '.join(source.models)}, {' and '.join(source.return_modes)}, {source.rpm:.1f} rpm, "
+        f"{source.name}: {' or '.join(source.models)}, {' and '.join(source.return_modes)}, {speed}, "
         f"{source.packets:,} packets, {source.lost:,} lost, {source.duplicates:,} duplicates, "
         f"{source.reordered:,} out of order"
     )

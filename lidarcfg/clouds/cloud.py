@@ -119,18 +119,40 @@ class PointCloud:
 
 def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
     """The clouds as one; sensors of the same name are the same sensor."""
-    index: dict[str, int] = {}
-    sensor = [_sensor(cloud, index) for cloud in clouds]
-    columns = {
-        key: np.concatenate([np.empty((0, 3) if key == "xyz" else 0, kind), *(getattr(c, key) for c in clouds)])
-        for key, kind in FIELDS.items()
-        if key != "sensor"
-    }
-    columns["sensor"] = np.concatenate([np.empty(0, np.uint16), *sensor])
+    whole = gather(clouds, sum(len(cloud.xyz) for cloud in clouds))
     names: dict[str, int] = {}
+    objects = None
     if any(cloud.object is not None for cloud in clouds):
-        columns["object"] = np.concatenate([_object(cloud, names) for cloud in clouds])
-    return PointCloud(sensor_names=tuple(index), driver=_driver(clouds), object_names=tuple(names), **columns)
+        objects = np.concatenate([_object(cloud, names) for cloud in clouds])
+    return replace(whole, driver=_driver(clouds), object=objects, object_names=tuple(names))
+
+
+def gather(clouds: Iterable[PointCloud], points: int) -> PointCloud:
+    """The fields of clouds, of about so many points in all, as one; each may be let go before the next comes.
+
+    Memory that is not filled is given back. Sensors of the same name are the same sensor.
+    """
+    columns: dict[str, Any] = {
+        key: np.empty((points, 3) if key == "xyz" else points, kind) for key, kind in FIELDS.items()
+    }
+    index = _SensorIndex()
+    count = 0
+    for cloud in clouds:
+        rows = slice(count, count + len(cloud.xyz))
+        if rows.stop > points:
+            points = 2 * rows.stop
+            _resize(columns, points)
+        for key, column in columns.items():
+            column[rows] = index.numbers(cloud) if key == "sensor" else getattr(cloud, key)
+        count = rows.stop
+    _resize(columns, count)
+    return PointCloud(sensor_names=index.names, **columns)
+
+
+def _resize(columns: Mapping[str, NDArray[Any]], rows: int) -> None:
+    """Make arrays that nobody else knows longer or shorter, where they are if memory allows."""
+    for column in columns.values():
+        column.resize((rows, *column.shape[1:]), refcheck=False)
 
 
 def _driver(clouds: Sequence[PointCloud]) -> dict[str, NDArray[Any]]:
@@ -142,10 +164,26 @@ def _driver(clouds: Sequence[PointCloud]) -> dict[str, NDArray[Any]]:
     }
 
 
-def _sensor(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.uint16]:
-    """The cloud's sensors as numbers of `index`, to which new names are added."""
-    table = [index.setdefault(name, len(index)) for name in cloud.sensor_names]
-    return cloud.sensor if table == list(range(len(table))) else np.array(table, np.uint16)[cloud.sensor]
+class _SensorIndex:
+    """Numbers sensors by their names, in the order in which clouds name them."""
+
+    def __init__(self) -> None:
+        self._index: dict[str, int] = {}
+        self._names: tuple[str, ...] = ()  # of the cloud before, and mostly of the next one: with thousands it counts
+        self._table: NDArray[np.uint16] | None = None  # the numbers of these; None if they are 0, 1 and on
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names."""
+        return tuple(self._index)
+
+    def numbers(self, cloud: PointCloud) -> NDArray[np.uint16]:
+        """(N,) of the sensors of a cloud's points; new names are added."""
+        if cloud.sensor_names is not self._names:
+            self._names = cloud.sensor_names
+            table = [self._index.setdefault(name, len(self._index)) for name in self._names]
+            self._table = None if table == list(range(len(table))) else np.array(table, np.uint16)
+        return cloud.sensor if self._table is None else self._table[cloud.sensor]
 
 
 def _object(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.int32]:
@@ -179,17 +217,17 @@ def save_clouds(
         if kind == ".npz":
             return _save_npz(path, clouds, boxes)
         with replacing(path, "wb") as file, tempfile.TemporaryFile(dir=path.parent) as body:
-            index: dict[str, int] = {}
+            sensors = _SensorIndex()
             objects: dict[str, int] = {}
             dtype, head = (PLY_ROW, _ply_header) if kind == ".ply" else (PCD_ROW, _pcd_header)
             for number, cloud in enumerate(clouds):
                 if number == 0 and cloud.object is not None:
                     dtype = np.dtype([*_fields(dtype), *OBJECT_ROW])
-                body.write(_rows(cloud, _sensor(cloud, index), _object(cloud, objects), dtype).tobytes())
+                body.write(_rows(cloud, sensors.numbers(cloud), _object(cloud, objects), dtype).tobytes())
             count = body.tell() // dtype.itemsize
             body.seek(0)
             found = _ply_boxes(boxes()) if kind == ".ply" else np.empty(0, PLY_BOX)
-            file.write(head(count, dtype, {"sensor": index, "object": objects}, len(found)).encode())
+            file.write(head(count, dtype, {"sensor": sensors.names, "object": objects}, len(found)).encode())
             copyfileobj(body, file, 1 << 20)
             file.write(found.tobytes())
         return count
@@ -198,7 +236,7 @@ def save_clouds(
 
 
 def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDArray[np.void]]) -> int:
-    index: dict[str, int] = {}
+    sensors = _SensorIndex()
     objects: dict[str, int] = {}
     count = 0
     knows_objects = False
@@ -207,7 +245,7 @@ def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDAr
         bodies = {key: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for key in kinds}
         for cloud in clouds:
             columns = {key: getattr(cloud, key) for key in FIELDS}
-            columns |= {"sensor": _sensor(cloud, index), "object": _object(cloud, objects)}
+            columns |= {"sensor": sensors.numbers(cloud), "object": _object(cloud, objects)}
             for key, body in bodies.items():
                 body.write(np.ascontiguousarray(columns[key], kinds[key]).data)
             count += len(cloud.xyz)
@@ -223,7 +261,7 @@ def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDAr
             del arrays["object"]
         if len(found := boxes()):
             arrays["boxes"] = found
-        np.savez(file, sensor_names=np.array(tuple(index), np.str_), **arrays)
+        np.savez(file, sensor_names=np.array(sensors.names, np.str_), **arrays)
     return count
 
 

@@ -6,7 +6,7 @@ from typing import Any
 OBJECTS = {"boxes", "spheres", "cylinders", "planes", "meshes"}
 MOTIONS = {"velocity_m_s", "arc", "poses"}
 DISCRIMINATING_KEYS = {  # keys that only one kind has; the first kind that matches counts
-    "sensor": {"beams"},
+    "sensor": {"beams", "scan_pattern"},
     "capture manifest": {"rig", "scene", "duration_s"},
     "plan": {"vary", "together"},
     "study": {"region"},

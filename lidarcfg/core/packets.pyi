@@ -95,6 +95,8 @@ class HesaiLasers(Protocol):
     @property
     def offset_ns(self) -> Times: ...
     @property
+    def lag_ns(self) -> Times: ...
+    @property
     def group_ns(self) -> Times: ...
     @property
     def pair_ns(self) -> Times: ...
@@ -114,6 +116,8 @@ class PacketFields(Protocol):
     def near(self) -> Bytes: ...
     @property
     def far(self) -> Bytes: ...
+    @property
+    def turn(self) -> Array: ...
 
 class VelodyneDecoder:
     """Decodes data packets (P, 1206) of one sensor."""
@@ -132,6 +136,15 @@ class VelodyneDecoder:
 
 class RobosenseDecoder:
     """The same of MSOP packets (P, 1248)."""
+
+    def __init__(self, slots: Slots, lasers: Lasers, period_ns: int, group_ns: int, unit_m: float) -> None: ...
+    def count(self, packets: Bytes, wanted: Flags) -> int: ...
+    def decode(
+        self, packets: Bytes, wanted: Flags, stamp_ns: Times, gap_ns: Times, kind: Bytes, out: Returns
+    ) -> int: ...
+
+class AiryDecoder:
+    """The same of an Airy's packets (P, 1248)."""
 
     def __init__(self, slots: Slots, lasers: Lasers, period_ns: int, group_ns: int, unit_m: float) -> None: ...
     def count(self, packets: Bytes, wanted: Flags) -> int: ...
@@ -166,6 +179,11 @@ def write_robosense_returns(
     range_m: Array, reflectivity: Bytes, number: Times, offset_m: Array, limits: Sequence[float], packets: Bytes
 ) -> None:
     """The same of packets (P, 1248)."""
+
+def write_airy_returns(
+    range_m: Array, reflectivity: Bytes, number: Times, offset_m: Array, limits: Sequence[float], packets: Bytes
+) -> None:
+    """The same of an Airy's packets."""
 
 def write_velodyne_near_returns(
     range_m: Array,

@@ -23,10 +23,14 @@ class Scanner:
         offset_rad: Array,
         elevation_rad: Array,
         start_m: Array,
+        phase: NDArray[np.int32],
         range_m: Sequence[float] | Array,
         fov_rad: Sequence[float] | Array,
     ) -> None:
-        """Heads (H,) when cycles start; angles and start_m (F, 3) of firings; ranges; field of view."""
+        """Heads (H,) when cycles start; angles and start_m (F, 3) of firings; ranges; field of view.
+
+        With a step of 0 heads stand still: there is one a phase, and `phase` (F,) says which each firing is of.
+        """
     @property
     def phases(self) -> int:
         """Head n is of phase n % phases."""

@@ -52,6 +52,8 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
     """The blueprint's attributes; for what is unknown of the sensor, CARLA's defaults hold."""
     sensor = mount.sensor
     realism = mount.realism
+    if sensor.scan_pattern:
+        raise ConversionError(f"{mount.name}: {sensor.name} has a scan pattern; CARLA's lidars turn")
     elevation_deg = np.sort(sensor.beams.elevation_deg)
     attributes = {
         "channels": sensor.count,
@@ -64,11 +66,10 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
     }
     if sensor.range:
         attributes["range"] = sensor.range.reported_m[1]
-    fires = bool(sensor.codec or sensor.firing)
-    if fires:
+    if sensor.fires:
         pace = timing(sensor).pace(mount)
         attributes["points_per_second"] = round(pace.firings * 1e9 / pace.period_ns)
-    if not (sensor.range and fires):
+    if not (sensor.range and sensor.fires):
         on_warning(f"{mount.name}: {sensor.name} has beams only; its range and points_per_second are CARLA's defaults")
     away_deg = abs(elevation_deg - np.linspace(elevation_deg[0], elevation_deg[-1], sensor.count)).max()
     if away_deg > EVEN_DEG:

@@ -1,4 +1,4 @@
-"""Packets of twelve blocks of 32 returns, as Velodyne and RoboSense send them: what the core knows of a sensor."""
+"""Packets of blocks of returns, as Velodyne and RoboSense send them: what the core knows of a sensor."""
 
 from typing import Any, NamedTuple, TypeVar
 
@@ -37,7 +37,7 @@ class Lasers(NamedTuple):
 
 
 def decode(
-    decoder: core.VelodyneDecoder | core.RobosenseDecoder,
+    decoder: core.VelodyneDecoder | core.RobosenseDecoder | core.AiryDecoder,
     data: Bytes,
     wanted: Flags,
     stamp_ns: Times,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lidarcfg.config.models import Model
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.emulator import Emulator, Site
 from lidarcfg.packets.facts import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
 from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Timing
@@ -98,6 +99,7 @@ class Source:
     sidecar_files: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
     payloads: Callable[[int | None, int], Iterator[Bytes]]  # of one size, of the host to a port or to any
     on_warning: Callable[[str], None]
+    driver_view: bool = False  # angles and times are wanted as the maker's own driver computes them, if it differs
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,7 @@ class Codec(Timing, Protocol):
     """The packets of one sensor. The constructor raises ConfigError if the sensor's file lacks facts."""
 
     point_fields: ClassVar[tuple[PointField, ...]] = TIMED  # of a PointCloud2, as the maker's ROS driver has them
+    scans: ClassVar[bool] = False  # whether its sensors have a scan pattern; else they have beams
     facts_model: ClassVar[type[Model]]  # of the key in a sensor's file that is named after the family
     settings_model: ClassVar[type[Model]] = Model  # of that key of a mount in a rig's file; by default without keys
 
@@ -169,10 +172,7 @@ class Codec(Timing, Protocol):
         """(N, R) which ranges are returns in the packets; of an identical pair, only the first."""
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
-        """(N, R) the types of the encoded returns, as far as packets distinguish them.
-
-        The second strongest of a pair counts as its strongest.
-        """
+        """(N, R) the types of the encoded returns, as decoding names them."""
         return np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape)
 
     def housekeeping(
@@ -215,6 +215,13 @@ class Codec(Timing, Protocol):
     def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
         """(P, size) the packets with these contents."""
         return self.encode(mount, measured.batch, measured.range_m, measured.reflectivity).data
+
+    def emulator(self, source: Source, packets: Bytes, site: Site) -> Emulator | None:
+        """What answers drivers as the sensor that sends these packets (P, size) does; None: this family has nothing.
+
+        Raises PacketError, ConfigError for what it would have to answer with and is not there.
+        """
+        return None
 
     # for reports and placement
 

@@ -7,7 +7,8 @@ from importlib import import_module
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.codec import Codec
-from lidarcfg.sensors.firing import Pattern, Timing
+from lidarcfg.sensors.firing import FramePattern, Pattern, Timing
+from lidarcfg.sensors.pattern_timing import PatternTiming
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import GenericTiming
 from lidarcfg.sensors.sensor import Sensor
@@ -16,6 +17,7 @@ FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne:Velodyne",
     "hesai": "lidarcfg.packets.hesai:Hesai",
     "robosense": "lidarcfg.packets.robosense:Robosense",
+    "livox": "lidarcfg.packets.livox:Livox",
     "ouster": "lidarcfg.packets.ouster:Ouster",
 }
 
@@ -33,18 +35,24 @@ def codec(sensor: Sensor) -> Codec:
     """The sensor's codec. Raises ConfigError if it has none, or for invalid facts in its file."""
     if sensor.codec is None:
         raise ConfigError(f"sensor {sensor.name!r} has no codec, and so no packets")
-    return family(sensor.codec)(sensor)
+    found = family(sensor.codec)
+    if found.scans != bool(sensor.scan_pattern):
+        needed = "scan_pattern" if found.scans else "beams"
+        raise ConfigError(f"sensor {sensor.name!r} has no {needed}, which codec {sensor.codec} needs")
+    return found(sensor)
 
 
 def timing(sensor: Sensor) -> Timing:
     """The timing of the sensor's lasers, by its codec or without one. Raises ConfigError."""
-    return codec(sensor) if sensor.codec else GenericTiming(sensor)
+    if sensor.codec:
+        return codec(sensor)
+    return PatternTiming() if sensor.scan_pattern else GenericTiming(sensor)
 
 
-def pattern(mount: Mount) -> Pattern:
-    """Where the lasers of a mount's sensor fire in a revolution. Raises ConfigError if that is not known."""
+def pattern(mount: Mount) -> Pattern | FramePattern:
+    """Where the lasers of a mount's sensor fire in a revolution or a frame. Raises ConfigError if that is not known."""
     sensor = mount.sensor
-    if sensor.codec is None and sensor.firing is None:
+    if not sensor.fires:
         what = "has no codec, which would say where its lasers fire; add firing to its file"
         raise ConfigError(f"sensor {sensor.name!r} {what}")
     return timing(sensor).pattern(mount)

@@ -31,3 +31,10 @@ OUSTER = (  # ouster-ros: intensity is the signal, the ring the pixel's row from
     PointField("ambient", "<u2", "near_ir"),
     PointField("range", "<u4", "range_mm"),
 )
+LIVOX = (  # livox_ros_driver2's PointXYZRTLT: the timestamp is in nanoseconds
+    *PLACE,
+    PointField("intensity", "<f4", "intensity"),
+    PointField("tag", "u1", "tag"),
+    PointField("line", "u1", "ring"),
+    PointField("timestamp", "<f8", "time_ns"),
+)

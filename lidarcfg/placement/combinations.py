@@ -21,7 +21,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.slots import Choice, Slot, slot_name
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.symmetry import alike_groups
+from lidarcfg.placement.symmetry import Symmetry
 
 CHANGES_MAX = 2  # sensors exchanged, added and removed
 DRAWS = 4  # of the pose of a sensor that is new
@@ -110,18 +110,12 @@ def options(study: Study) -> list[Option]:
 
 
 def distinct_options(study: Study) -> list[Option]:
-    """Those that are not alike by symmetry, the cheapest first.
-
-    Groups with the same bounds are interchangeable; so are groups in mirrored bounds, if all else is symmetric, too.
-    """
-    kinds = alike_groups(study)
+    """Those that are not alike by symmetry, the cheapest first."""
+    symmetry = Symmetry.of(study)
     found: dict[object, Option] = {}
     for one in options(study):
-        parts: dict[int, list[str]] = {}
-        for kind, part in zip(kinds, one.chosen, strict=True):
-            parts.setdefault(kind, []).append(repr(sorted(choice.model for choice in part if choice)))
-        key = tuple((kind, tuple(sorted(each))) for kind, each in sorted(parts.items()))
-        found.setdefault(key, one)
+        chosen = [tuple(sorted(choice.model for choice in part if choice)) for part in one.chosen]
+        found.setdefault(symmetry.key(chosen), one)
     return sorted(found.values(), key=lambda one: one.price)
 
 

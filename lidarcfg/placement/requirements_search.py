@@ -26,12 +26,16 @@ from lidarcfg.requirements.places import FINEST_M, FINEST_RAD
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 
+FIRST_POINTS = 4  # that are judged in full
+POINTS_GROWTH = 3  # of the number of points, until the best so far is what the next have to beat
+LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
 
 class PointsFirst:
     """Given points first, then the study's solver, which starts from the best of them.
 
+    The points come in batches. In all but the first a point counts only if it is better than those before.
     By requirements `auto` is annealing at once: its trials move one sensor each, and the others need not be cast anew.
     """
 
@@ -41,7 +45,7 @@ class PointsFirst:
         self._points = points
         self._seed = (study.solver.seed + restarts) % 2**63
         self._search: Search | None = None
-        self._mean_cost = math.inf
+        self._known = np.empty(0)  # costs of points
         self.cycles = 0
         self.best_x = points[0]
         self.best_cost = math.inf
@@ -54,14 +58,18 @@ class PointsFirst:
     @property
     def mean_cost(self) -> float:
         """The mean cost of the population."""
-        return self._search.mean_cost if self._search else self._mean_cost
+        if self._search:
+            return self._search.mean_cost
+        known = self._known[np.isfinite(self._known)]
+        return float(known.mean()) if len(known) else math.inf
 
     def ask(self) -> Trials:
-        """The points, or the solver's next trials."""
+        """The next of the points, or the solver's next trials."""
         if self._search:
             return self._search.ask()
-        count = len(self._points)
-        return Trials("first", self._points, np.zeros(count, np.int64), np.full(count, np.inf))
+        done = len(self._known)
+        some = self._points[done : max(FIRST_POINTS, done * POINTS_GROWTH)]
+        return Trials("first", some, np.zeros(len(some), np.int64), np.full(len(some), self.best_cost))
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
@@ -74,7 +82,9 @@ class PointsFirst:
             self._search.tell(cost)
             self.cycles = self._search.cycles
             return
-        self._mean_cost = float(cost.mean())
+        self._known = np.concatenate([self._known, cost])
+        if len(self._known) < len(self._points):
+            return
         method = self._study.solver.method
         if method == "auto" and self._study.requirements:
             method = "annealing"
@@ -150,6 +160,15 @@ class RequirementsRun(SearchRun):
             shortfall=0.0 if meets(line.best) else line.best,
         )
 
+    def is_over(self, budget: Budget) -> bool:
+        """Whether a limit is reached; of seconds, some are left to verify the best rig."""
+        needed_s = 0.0 if self._is_best_verified else min(self._verify_s, LEFT_MOST * budget.seconds)
+        return super().is_over(budget) or (bool(self.history) and time.perf_counter() + needed_s >= budget.deadline)
+
+    @property
+    def _is_best_verified(self) -> bool:
+        return self._verified is not None and bool((self.best_x == self._verified.x).all())
+
     def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials, and verify the best rig where that is due. Returns as SearchRun.step."""
         told = super().step(evaluator, budget)
@@ -168,7 +187,7 @@ class RequirementsRun(SearchRun):
     def _check(self, evaluator: TrialEvaluator) -> None:
         """Verify the best rig; if it fails at refined places, these join and the solver starts anew from it."""
         assert isinstance(evaluator, RequirementsEvaluator)
-        if self._verified and (self.best_x == self._verified.x).all():
+        if self._is_best_verified:
             self._schedule(self._interval)
             return
         found = self.verdict_on(self.best_x)
@@ -208,6 +227,8 @@ class RequirementsRun(SearchRun):
     def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
         """The result: the best rig; where that fails at refined places alone, the best that was verified."""
         x = self.best_x
+        if verdict is None and self._verified and self._is_best_verified:
+            verdict = self._verified.verdict
         if verdict is None:
             verdict = self.verdict_on(x) if math.isfinite(self.best_cost) else Verdict(())
         remarks = []

@@ -1,11 +1,15 @@
-"""Which groups of a study's sensors are interchangeable: a rig with their models exchanged is another one's equal.
+"""Which of a study's groups of sensors are alike: a rig with their models exchanged is another one's equal.
 
-Two groups with the same bounds and choices are. Two groups in bounds that mirror each other are, too, if the plane
-mirrors everything that is to be met: the bodies and the zones, headings and objects of all requirements. That sensors
-turn one way only is not looked at: it shifts the places of beams by less than the step between two of them.
+Any two groups with the same bounds and choices are. If a plane mirrors everything, the bounds of all groups, the
+bodies, and the zones, headings and objects of all requirements, then each combination has an image that is its equal,
+too: all groups change places with those in mirrored bounds, at once. Two things are not looked at: that sensors turn
+one way only, which shifts the places of beams by less than the step between two of them, and that each sensor has its
+own draws of mounting errors.
 """
 
 import math
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,64 +20,96 @@ from lidarcfg.placement.study import Study
 from lidarcfg.requirements.objects import ObjectRequirement
 from lidarcfg.requirements.places import Stand
 from lidarcfg.requirements.posts import PostRequirement
+from lidarcfg.requirements.scenarios import ScenarioRequirement
 
 NEAR_M = 1e-3  # by which corners of mirrored bodies may differ
+SAME = 1e-9  # metres and radians, by which bounds may
 BOUNDS = ("min", "max", "on", "mirror_y_m", "name")  # of a group, besides what it consists of
 
 
-def alike_groups(study: Study) -> list[int]:
-    """For each group of the study's file the number of the first one with which it is interchangeable."""
-    groups = study.file["sensors"]
-    firsts = np.cumsum([0, *(group["count"] for group in groups)])[:-1].tolist()
-    plane_y_m = float(study.reference_m[1]) if study.vehicle else 0.0
-    mirrors = is_mirrored(study, plane_y_m)
-    out: list[int] = []
-    for i, group in enumerate(groups):
-        same = (
-            j
-            for j in range(i)
-            if out[j] == j
-            and _consists_of(groups[j]) == _consists_of(group)
-            and (
-                _same_bounds(study, firsts[j], firsts[i], groups[j], group)
-                or (mirrors and _mirrored_bounds(study, firsts[j], firsts[i], plane_y_m, groups[j], group))
-            )
+@dataclass(frozen=True)
+class Symmetry:
+    """Of a study's groups, by their numbers in its file."""
+
+    kinds: tuple[int, ...]  # the first group with the same bounds and choices
+    images: dict[int, int] | None  # of kinds, in mirrored bounds; None: no plane mirrors everything
+
+    @classmethod
+    def of(cls, study: Study) -> "Symmetry":
+        """That of a study."""
+        groups = [_Group(each, study.lower[first], study.upper[first]) for each, first in _firsts(study)]
+        kinds: list[int] = []
+        for i, group in enumerate(groups):
+            kinds.append(next((j for j in range(i) if kinds[j] == j and group.is_alike(groups[j])), i))
+        plane_y_m = float(study.reference_m[1]) if study.vehicle else 0.0
+        if not is_mirrored(study, plane_y_m):
+            return cls(tuple(kinds), None)
+        images: dict[int, int] = {}
+        for kind in set(kinds):
+            for other in set(kinds):
+                if kinds.count(kind) == kinds.count(other) and groups[kind].mirrors(groups[other], plane_y_m):
+                    images[kind] = other
+        return cls(tuple(kinds), images if len(images) == len(set(kinds)) else None)
+
+    def key(self, chosen: Sequence[Hashable]) -> Hashable:
+        """What is the same for alike combinations, of what is chosen for each group."""
+        parts: dict[int, list[str]] = {}
+        for kind, each in zip(self.kinds, chosen, strict=True):
+            parts.setdefault(kind, []).append(repr(each))
+        key = tuple((kind, tuple(sorted(parts[kind]))) for kind in sorted(parts))
+        if self.images is None:
+            return key
+        return min(key, tuple((kind, tuple(sorted(parts[self.images[kind]]))) for kind in sorted(parts)))
+
+
+@dataclass(frozen=True)
+class _Group:
+    """A group of sensors, and where its first one may be."""
+
+    file: dict[str, Any]
+    lower: Array  # (6,)
+    upper: Array  # (6,)
+
+    @property
+    def consists_of(self) -> dict[str, Any]:
+        """Its values but for where it is."""
+        return {key: value for key, value in self.file.items() if key not in BOUNDS}
+
+    def is_alike(self, other: "_Group") -> bool:
+        """Whether it may exchange its sensors with another one."""
+        return (
+            self.consists_of == other.consists_of
+            and self.file.get("on") == other.file.get("on")
+            and self.file.get("mirror_y_m") == other.file.get("mirror_y_m")
+            and bool((self.lower == other.lower).all() and (self.upper == other.upper).all())
         )
-        out.append(next(same, i))
-    return out
+
+    def mirrors(self, other: "_Group", plane_y_m: float) -> bool:
+        """Whether it is the image of another one, or of itself; y, roll and yaw change sign."""
+        given = self.file.keys() | other.file.keys()
+        if self.consists_of != other.consists_of or "on" in given or "azimuth_fov_deg" in given:
+            return False
+        if "mirror_y_m" in given:  # of each pair one is the other's image
+            return self.is_alike(other) and abs(self.file["mirror_y_m"] - plane_y_m) <= SAME
+        sign = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+        images = np.sort([sign * other.lower, sign * other.upper], axis=0)
+        images[:, 1] += 2 * plane_y_m
+        off = images - [self.lower, self.upper]
+        off[:, 3:] -= 2 * math.pi * np.rint(off[:, 3:] / (2 * math.pi))
+        return bool((abs(off) <= SAME).all())
 
 
-def _consists_of(group: dict[str, Any]) -> dict[str, Any]:
-    """Its values but for where it is."""
-    return {key: value for key, value in group.items() if key not in BOUNDS}
-
-
-def _same_bounds(study: Study, one: int, other: int, first: dict[str, Any], second: dict[str, Any]) -> bool:
-    return (
-        first.get("on") == second.get("on")
-        and first.get("mirror_y_m") == second.get("mirror_y_m")
-        and bool((study.lower[one] == study.lower[other]).all() and (study.upper[one] == study.upper[other]).all())
-    )
-
-
-def _mirrored_bounds(
-    study: Study, one: int, other: int, plane_y_m: float, first: dict[str, Any], second: dict[str, Any]
-) -> bool:
-    """Whether the bounds of two groups, by their first slots, are each other's images; y, roll and yaw change sign."""
-    if any("on" in group or "mirror_y_m" in group or "azimuth_fov_deg" in group for group in (first, second)):
-        return False
-    sign = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
-    shift = np.array([0.0, 2 * plane_y_m, 0.0, 0.0, 0.0, 0.0])
-    images = shift + sign * study.lower[other], shift + sign * study.upper[other]
-    return bool(
-        np.allclose(np.minimum(*images), study.lower[one], rtol=0, atol=1e-9)
-        and np.allclose(np.maximum(*images), study.upper[one], rtol=0, atol=1e-9)
-    )
+def _firsts(study: Study) -> Iterator[tuple[dict[str, Any], int]]:
+    """Each group's values, and the number of its first sensor."""
+    first = 0
+    for each in study.file["sensors"]:
+        yield each, first
+        first += each["count"]
 
 
 def is_mirrored(study: Study, plane_y_m: float) -> bool:
     """Whether the plane y = plane_y_m mirrors the bodies and all that requirements ask for."""
-    if study.requirements is None or study.surroundings or study.detection:
+    if study.requirements is None or study.surroundings or not study.seeks_margin:  # an objective has its own zones
         return False
     if study.vehicle and not _mirrors(study.vehicle.scene.mesh()[0], plane_y_m):
         return False
@@ -87,6 +123,8 @@ def is_mirrored(study: Study, plane_y_m: float) -> bool:
             counts = item.posts.counts
             if not (counts[1:] == counts[:0:-1]).all():
                 return False
+        elif isinstance(item, ScenarioRequirement):  # traffic keeps right
+            return False
     return True
 
 

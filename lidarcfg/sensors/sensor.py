@@ -1,4 +1,4 @@
-"""A sensor model: its beams, how its head turns, its light, and the codec of its packets, all from one YAML file.
+"""A sensor model: its beams or its scan pattern, its light, and the codec of its packets, all from one YAML file.
 
 Beam tables exist in the files of `sensors/` only: optimiser, simulator, encoder and decoder all read them. What only
 the maker's packets need is under a key named after the codec, which checks it when it is used.
@@ -22,6 +22,7 @@ from lidarcfg.config.models import (
     Name,
     Positive,
     Section,
+    errors_at,
     load,
     unknown_key,
     validation_error,
@@ -29,8 +30,9 @@ from lidarcfg.config.models import (
 )
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.realism import MeasuredRealism
+from lidarcfg.sensors.scan_pattern import PatternFile, ScanPattern, load_scan_pattern
 
 Byte = Annotated[int, Field(ge=0, le=255)]
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -87,6 +89,9 @@ class Beams(Model):
         return self
 
 
+NO_BEAMS = Beams.model_construct(elevation_deg=())  # of a sensor with a scan pattern
+
+
 def check_lengths(tables: Model, count: int) -> None:
     """A model's validator: each table has one value a beam, or none."""
     for key in type(tables).model_fields:
@@ -128,6 +133,11 @@ class Range(Model):
         """The least and the greatest distance that packets have."""
         limits = self.reported or self
         return limits.min_m, limits.max_m
+
+    def holds_both(self, range_m: Array) -> Flags:
+        """(N,) which pairs of distances (N, 2) are both such that packets have them."""
+        least_m, most_m = self.reported_m
+        return np.asarray(((range_m >= least_m) & (range_m <= most_m)).all(axis=1))
 
 
 class Ports(Model):
@@ -192,17 +202,19 @@ class Sensor(Model):
     name: Name
     maker: str = ""
     description: str = ""
-    beams: Beams
+    beams: Beams = NO_BEAMS
+    scan_pattern: PatternFile | None = None  # instead of beams: its head does not turn
     rotation: Rotation | None = None
     range: Range | None = None
     optics: Optics | None = None
     housing: Housing | None = None
     realism: MeasuredRealism | None = None
     ports: Ports | None = None
-    azimuth_fov_deg: AzimuthFov | None = None  # from, to, clockwise from the x axis; none: all around
-    firing: Firing | None = None  # where there is no codec; none: FIRING
+    azimuth_fov_deg: AzimuthFov | None = None  # from, to, clockwise from x; none: all around, or a scan pattern's own
+    firing: Firing | None = None  # of beams, where there is no codec; none: FIRING
     codec: Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")] | None = None
     _file: "File" = PrivateAttr(default_factory=lambda: File(""))
+    _pattern: ScanPattern | None = PrivateAttr(None)
 
     @model_validator(mode="wrap")
     @classmethod
@@ -216,6 +228,11 @@ class Sensor(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "Sensor":
+        if not self.count and not self.scan_pattern:
+            raise validation_error("missing; a sensor has beams or a scan_pattern", "beams")
+        for key in ("beams", "rotation", "firing"):
+            if self.scan_pattern and key in self.model_fields_set:
+                raise validation_error("conflicts with scan_pattern, which says where the sensor fires and when", key)
         if self.range and self.range.min_m >= self.range.max_m:
             raise validation_error(f"{self.range.min_m} is not below max_m", "range", "min_m")
         if self.range and not self.range.reported_m[0] < self.range.reported_m[1]:
@@ -253,19 +270,37 @@ class Sensor(Model):
         return here
 
     @property
+    def pattern(self) -> ScanPattern:
+        """The firings of its scan pattern. Raises ConfigError if it has none, or if it was not read from a file."""
+        if self._pattern is None:
+            raise ConfigError(f"sensor {self.name!r} has no scan pattern that was read from a file")
+        return self._pattern
+
+    @property
+    def fires(self) -> bool:
+        """Whether it is known when lasers fire."""
+        return bool(self.codec or self.firing or self.scan_pattern)
+
+    @property
     def count(self) -> int:
-        """The number of beams."""
-        return len(self.beams.elevation_deg)
+        """The number of beams, or of a scan pattern's channels."""
+        return self._pattern.channels if self._pattern else len(self.beams.elevation_deg)
+
+    @property
+    def elevation_span_deg(self) -> tuple[float, float]:
+        """The lowest and the highest elevation."""
+        elevation_deg = np.degrees(self._pattern.elevation_rad) if self._pattern else self.beams.elevation_deg
+        return float(np.min(elevation_deg)), float(np.max(elevation_deg))
 
     @property
     def elevation_rad(self) -> Array:
-        """(count,) by laser id."""
-        return np.radians(np.array(self.beams.elevation_deg, np.float64))
+        """(count,) by laser id; 0 of a scan pattern's channels, whose firings have their own."""
+        return np.radians(self._table("elevation_deg"))
 
     @property
     def sin_elevation(self) -> Array:
-        """(count,) the sines of the elevations, ascending."""
-        return np.sort(maths.sin(self.elevation_rad))
+        """(beams,) the sines of the beams' elevations, ascending; none with a scan pattern."""
+        return np.sort(maths.sin(np.radians(np.array(self.beams.elevation_deg, np.float64))))
 
     @property
     def azimuth_offset_rad(self) -> Array:
@@ -292,7 +327,9 @@ class Sensor(Model):
 
     @property
     def ring(self) -> NDArray[np.uint16]:
-        """(count,) by laser id: 0 is the lowest beam."""
+        """(count,) by laser id: 0 is the lowest beam; of a scan pattern the channels."""
+        if self.scan_pattern:
+            return np.arange(self.count, dtype=np.uint16)
         return np.argsort(np.argsort(self.beams.elevation_deg)).astype(np.uint16)
 
 
@@ -311,16 +348,25 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
     known = catalogue()
     if name in known:
         path = known[str(name)]
-        sensor = load(path, Sensor, own=True)
-        sensor._file = File(str(path))
+        sensor = _load(path, own=True)
         if sensor.name != name:
             raise ConfigError(f"{path}:1:1: name: {sensor.name!r} is not the file's name, {name!r}")
         return sensor
     if Path(name).suffix in (".yaml", ".yml", ".json"):
-        sensor = load(base / name, Sensor)
-        sensor._file = File(str(base / name))
-        return sensor
+        return _load(base / name)
     raise ConfigError(f"no sensor is called {str(name)!r}; {_meant(str(name), known)}")
+
+
+def _load(path: Path, own: bool = False) -> Sensor:
+    """The sensor in a file, with the table of its scan pattern. Raises ConfigError."""
+    sensor = load(path, Sensor, own)
+    sensor._file = File(str(path))
+    if sensor.scan_pattern:
+        with errors_at(path, "scan_pattern", "file"):
+            sensor._pattern = load_scan_pattern(path.parent / sensor.scan_pattern.file, sensor.scan_pattern.frame_ns)
+        if sensor.azimuth_fov_deg is None:
+            sensor = sensor.model_copy(update={"azimuth_fov_deg": sensor._pattern.azimuth_fov_deg})
+    return sensor
 
 
 def _meant(name: str, known: Iterable[str]) -> str:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.clouds.cloud import FIELDS, PointCloud, concatenate, load_cloud, save_clouds
+from lidarcfg.clouds.cloud import FIELDS, PointCloud, concatenate, gather, load_cloud, save_clouds
 from lidarcfg.errors import CloudError
 from tests.refusals import refused
 
@@ -63,6 +63,18 @@ def test_no_more_than_a_cloud_is_held(tmp_path, suffix):
             del some
 
     assert save_clouds(tmp_path / f"a.{suffix}", clouds()) == 120
+
+
+@pytest.mark.parametrize("points", [0, 1, 149, 150, 1000])
+def test_gathering_fills_one_cloud_whatever_room_is_foreseen(points):
+    parts = [cloud(50, seed=0), cloud(0), cloud(70, ("right", "rear"), seed=1), cloud(30, seed=2)]
+    whole = gather(iter(parts), points)
+    assert whole.sensor_names == ("left", "right", "rear")
+    for key in FIELDS:
+        if key != "sensor":
+            np.testing.assert_array_equal(getattr(whole, key), np.concatenate([getattr(part, key) for part in parts]))
+    names = [part.sensor_names[one] for part in parts for one in part.sensor.tolist()]
+    assert [whole.sensor_names[one] for one in whole.sensor.tolist()] == names
 
 
 def test_concatenate_matches_sensors_by_name():

@@ -54,3 +54,45 @@ def points(payload: bytes, table: list[tuple[float, float]]) -> list[tuple[float
             z = distance * unit_m * math.sin(math.radians(elevation))
             found.append((flat * math.sin(angle), flat * math.cos(angle), z, reflectivity, channel, block))
     return found
+
+
+def fire_times_us(size: int) -> list[float]:
+    """Of the channels in Hesai's firing time files for the sensors of protocol 6.1."""
+    step = {1080: 1.512, 568: 3.024, 820: 2.888}[size]
+    return [6 + step * (channel % 16 if size == 820 else channel) for channel in range(SHAPES[size][0])]
+
+
+def driver_points(
+    payload: bytes, table: list[tuple[float, float]], loops: list[list[float]]
+) -> list[tuple[float, float, float, int, int]]:
+    """x, y, z, nanoseconds and channel of each return, but for the second of two that are alike.
+
+    As ComputeXYZI of Hesai's SDK 2.0.11 has it (udp6_1_parser.cc, udp3_2_parser.cc) with firing times in microseconds.
+    """
+    lasers, blocks = SHAPES[len(payload)]
+    qt128 = len(payload) == 1127
+    tail = 1073 if qt128 else len(payload) - 18
+    mode = payload[tail]
+    rpm = struct.unpack_from("<H", payload, tail + 1)[0]
+    returns = 2 if mode >= 0x39 else 1
+    found = []
+    for block in range(blocks):
+        at = 12 + block * (2 + 4 * lasers)
+        block_ns = 9000 + 111110 * (block // returns) if qt128 else -50000 * ((blocks - block - 1) // returns)
+        loop = (payload[1066] + block // returns + 1) % 2 if qt128 else 0
+        for channel in range(lasers):
+            here = at + 2 + 4 * channel
+            twin = here - (2 + 4 * lasers)
+            distance = struct.unpack_from("<H", payload, here)[0]
+            if not distance or (block % 2 and returns == 2 and payload[here : here + 3] == payload[twin : twin + 3]):
+                continue
+            azimuth = struct.unpack_from("<H", payload, at)[0] / 100
+            azimuth += loops[loop][channel] * rpm * 6e-6
+            elevation, offset = table[channel]
+            angle = math.radians(azimuth + offset)
+            range_m = distance * payload[9] / 1000
+            flat = range_m * math.cos(math.radians(elevation))
+            z = range_m * math.sin(math.radians(elevation))
+            time_ns = stamp_us(payload) * 1000 + block_ns + round(loops[loop][channel] * 1000)
+            found.append((flat * math.sin(angle), flat * math.cos(angle), z, time_ns, channel))
+    return found

@@ -1,6 +1,7 @@
 """Searches of studies with requirements: what they find, and that what they skip changes nothing."""
 
 import math
+from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -22,6 +23,7 @@ from lidarcfg.placement.search_run import INFEASIBLE
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.sweep import Processes
 from lidarcfg.requirements.requirements import Requirements
+from lidarcfg.requirements.scenarios import ScenarioRequirement
 from lidarcfg.requirements.sensors import lowest_at
 from lidarcfg.requirements.trials import RigTrials
 from lidarcfg.requirements.verify import Verifier
@@ -98,6 +100,16 @@ def test_costs_are_lexicographic():
     assert [readable(one) for one in met] == wanted  # to the last bit
 
 
+NEARER = """  - name: the same crates nearer
+    object: {size_m: [1, 1, 1]}
+    within_m: [1, 1.5]
+    sector_deg: [-60, 20]
+    headings_deg: [30]
+    returns: 20
+    lost: 0
+"""
+
+
 def poses_of(study, count, seed=5):
     rng = np.random.default_rng(seed)
     return study.poses(rng.random((count, int(study.free.sum()))))
@@ -106,7 +118,7 @@ def poses_of(study, count, seed=5):
 @pytest.mark.parametrize("lost", [0, 1])
 def test_shortfall_is_the_definition(study, lost):
     """Mean over places and cases of max(0, 1 − reached/demanded), from counts of each sensor at each place."""
-    one = yard(study, lost=lost)
+    one = yard(study, lost=lost, more=NEARER)
     judge = RigTrials(one.requirements, one.rig(one.lower).mounts)
     poses = poses_of(one, 4)
     for row, rig in zip(poses, judge.rigs(poses), strict=True):
@@ -128,6 +140,19 @@ def test_shortfall_is_the_definition(study, lost):
         assert judge.shortfall(rig) == pytest.approx(total, rel=1e-12)
         assert judge.shortfall(rig, total / 2) == math.inf
         assert judge.shortfall(rig, total * 2) == judge.shortfall(rig)
+
+
+def test_scenarios_are_tried_last(study, monkeypatch):
+    """They take seconds: what the places refute is not fired at all."""
+    one = yard(study, more="  - {name: crossing, scenario: cpna, speeds_km_h: [20]}")
+    poses = poses_of(one, 4)
+    judge = RigTrials(one.requirements, one.rig(one.lower).mounts)
+    places = RigTrials(replace(one.requirements, items=one.requirements.items[:-1]), one.rig(one.lower).mounts)
+    known = [places.shortfall(rig) for rig in places.rigs(poses)]
+    monkeypatch.setattr(ScenarioRequirement, "judge", lambda self, mounts: pytest.fail("it is fired"))
+    for rig, short in zip(judge.rigs(poses), known, strict=True):
+        assert short > 0
+        assert judge.shortfall(rig, short) == math.inf
 
 
 def test_base_verdict_and_search_agree(study):
@@ -182,8 +207,9 @@ def test_no_result_is_worse_than_the_best_plain_rig(study):
     with RequirementsEvaluator(one, 2) as evaluator:
         costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], np.full(len(poses), np.inf))
     found = optimize(with_solver(one, evaluations=1), threads=2)
-    assert found.log.cost[: len(points)].tolist() == costs.tolist()
-    assert found.log.cost.min() <= costs.min()
+    told = found.log.cost[: len(points)]
+    assert told[told < math.inf].tolist() == costs[told < math.inf].tolist()
+    assert told.min() == costs.min()  # the others were given up where they could not beat those before
 
 
 def test_the_search_looks_through_the_slit(study):
@@ -233,8 +259,73 @@ def test_symmetric_combinations_count_once(study):
     assert prices == sorted(prices)
     expected = [sum(pair) for pair in combinations_with_replacement((4000, 7000, 0), 2) if any(pair)]
     assert prices == sorted(expected)
-    lopsided = study(CHOICE.replace("RETURNS", "10").replace("[-30, 30]", "[-30, 40]"))
-    assert len(distinct_options(lopsided)) == 3**2 - 1
+
+
+FOUR = """
+  - name: left2
+    choose: [vlp-16, vlp-32c]
+    min: {position_m: [-1, 0.4, 1.5], rpy_deg: [0, 0, 0]}
+    max: {position_m: [-0.5, 0.4, 1.8], rpy_deg: [0, 0, 0]}
+  - name: right2
+    choose: [vlp-16, vlp-32c]
+    min: {position_m: [-1, -0.4, 1.5], rpy_deg: [0, 0, 0]}
+    max: {position_m: [-0.5, -0.4, 1.8], rpy_deg: [0, 0, 0]}
+  - name: back
+    model: vlp-16
+    min: {position_m: [-1, 0, 1], rpy_deg: [0, 0, 180]}
+    max: {position_m: [-1, 0, 1.4], rpy_deg: [0, 0, 180]}
+prices:"""
+
+ASIDE = """
+  - name: aside
+    model: vlp-16
+    min: {position_m: [0, 0.1, 2], rpy_deg: [0, 0, 0]}
+    max: {position_m: [0, 0.4, 2], rpy_deg: [0, 0, 0]}
+prices:"""
+ZONES = """
+objective: {max_vsr: 1}
+zones: [{name: left, min_m: [-8, 1, 0], max_m: [8, 8, 4], weight: 2}]
+solver:"""
+WEDGE = """OFF
+4 4 0
+0 0 0
+1 0 0
+0 1 0
+0 0 1
+3 0 2 1
+3 0 1 3
+3 1 2 3
+3 2 0 3
+"""
+
+
+def test_all_groups_are_mirrored_at_once(study):
+    """To exchange left and right in front alone is no symmetry of a rig whose rear differs from side to side."""
+    one = study(CHOICE.replace("RETURNS", "10").replace("\nprices:", FOUR))
+    front = [a + b for a in "16n" for b in "16n"]
+    rear = [a + b for a in "16" for b in "16"]
+    seen = {frozenset([(f, r), (f[::-1], r[::-1])]) for f in front for r in rear}
+    assert len(options(one)) == len(front) * len(rear)
+    assert len(distinct_options(one)) == len(seen)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("[-30, 30]", "[-30, 40]"),
+        ("headings_deg: [0]", "headings_deg: [0, 30]"),
+        ("{size_m: [1, 1, 1]}", "{mesh: wedge.off}"),
+        ("  - {name: budget", "  - {name: crossing, scenario: cpna}\n  - {name: budget"),
+        ("center_m: [0, 0, 0.7]", "center_m: [0, 0.1, 0.7]"),
+        ("\nprices:", ASIDE),
+        ("\nsolver:", ZONES),
+    ],
+    ids=["sector", "headings", "object", "scenario", "body", "another group", "zones"],
+)
+def test_what_is_lopsided_has_no_symmetry(study, change, tmp_path):
+    (tmp_path / "wedge.off").write_text(WEDGE)
+    one = study(CHOICE.replace("RETURNS", "10").replace(*change))
+    assert len(distinct_options(one)) == len(options(one)) >= 3**2 - 1
 
 
 @pytest.mark.parametrize("returns", [300, 100_000])
@@ -276,7 +367,7 @@ def test_what_no_rig_can_meet_is_said(study):
 
 def test_workers_find_the_same(study):
     """Processes stand for a cluster's workers."""
-    one = study(CHOICE.replace("RETURNS", "300"))
+    one = study(CHOICE.replace("RETURNS", "300").replace("within_m: [2, 3]", "within_m: [2, 3.5]"))
     alone = cheapest(one, threads=2)
     workers = Processes(2)
     try:
@@ -286,6 +377,5 @@ def test_workers_find_the_same(study):
     assert found.combination.name == alone.combination.name
     assert found.placement.rig == alone.placement.rig
     assert found.placement.verdict == alone.placement.verdict
-    assert [each for each in found.tried if each.price < alone.combination.price] == [
-        each for each in alone.tried if each.price < alone.combination.price
-    ]
+    assert found.tried == alone.tried
+    assert any(each.price > alone.combination.price for each in alone.tried)  # one was searched before the find

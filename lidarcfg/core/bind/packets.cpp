@@ -52,7 +52,8 @@ struct Fields<packets::hesai::Lasers> {
   static constexpr auto members =
       fields(field("cos_elevation", &T::cos_elevation), field("sin_elevation", &T::sin_elevation),
              field("cos_offset", &T::cos_offset), field("sin_offset", &T::sin_offset), field("ring", &T::ring),
-             field("offset_ns", &T::offset_ns), field("group_ns", &T::group_ns), field("pair_ns", &T::pair_ns));
+             field("offset_ns", &T::offset_ns), field("lag_ns", &T::lag_ns), field("group_ns", &T::group_ns),
+             field("pair_ns", &T::pair_ns));
 };
 
 template <>
@@ -60,7 +61,7 @@ struct Fields<packets::hesai::PacketFields> {
   using T = packets::hesai::PacketFields;
   static constexpr auto members =
       fields(field("unit_mm", &T::unit_mm), field("stamp_ns", &T::stamp_ns), field("dual", &T::dual),
-             field("loop", &T::loop), field("near", &T::near), field("far", &T::far));
+             field("loop", &T::loop), field("near", &T::near), field("far", &T::far), field("turn", &T::turn));
 };
 
 namespace {
@@ -118,9 +119,9 @@ void check_lasers(const packets::Lasers& lasers) {
 void check_slots(const packets::Slots& slots, Index lasers) {
   const Index width = std::ssize(slots.laser);
   const Index groups = slots.fraction.rows();
-  require(width > 0 && width % packets::slots_per_block == 0, "slots.laser: of whole blocks of 32");
-  require(groups > 0 && groups * width <= packets::blocks_per_packet * packets::slots_per_block,
-          "slots.fraction: of groups that fill at most twelve blocks");
+  require(width > 0 && width % packets::slots_per_column == 0, "slots.laser: of whole columns of 32");
+  require(groups > 0 && groups * width <= packets::slots_per_packet,
+          "slots.fraction: of groups that fill at most a packet");
   require(slots.fraction.columns() == width, "slots.fraction: one for each laser");
   require(slots.offset_ns.rows() == groups && slots.offset_ns.columns() == width,
           "slots.offset_ns: one for each fraction");
@@ -141,7 +142,7 @@ void check_encoded(Rows<const double> range_m, Bytes reflectivity, View<const st
   require(range_m.rows() == packets.rows(), "range_m: a row for each packet");
   require(reflectivity.rows() == range_m.rows() && reflectivity.columns() == range_m.columns(),
           "reflectivity: one for each range");
-  require(std::ssize(number) <= packets::blocks_per_packet * packets::slots_per_block, "number: more than 384 slots");
+  require(std::ssize(number) <= packets::slots_per_packet, "number: more than 384 slots");
   require(all_below(number, range_m.columns()), "number: beyond the ranges");
 }
 
@@ -155,6 +156,7 @@ void bind_blocks(nb::module_& module, const char* decoder, const char* write) {
          double unit_m) {
         check_lasers(lasers);
         check_slots(slots, std::ssize(lasers.elevation));
+        require(std::ssize(slots.laser) % Maker::slots_per_block == 0, "slots.laser: of whole blocks");
         check_times(period_ns, group_ns);
         return Decoder(slots, lasers, period_ns, group_ns, unit_m);
       },
@@ -239,7 +241,7 @@ void bind_velodyne(nb::module_& module) {
       module, "uncorrect_velodyne_intensities",
       [](View<const std::int64_t> laser, Rows<const double> focal, Rows<std::uint8_t> packets) {
         require(packets.columns() == packets::Velodyne::packet_bytes, "packets: of another size");
-        require(std::ssize(laser) <= packets::blocks_per_packet * packets::slots_per_block,
+        require(std::ssize(laser) <= packets::slots_per_packet,
                 "laser: more than 384 slots");
         require(focal.columns() == 4, "focal: four for each laser");
         require(all_below(laser, focal.rows()), "laser: beyond the rows of focal");
@@ -257,6 +259,8 @@ void check_hesai_lasers(const packets::hesai::Lasers& lasers) {
   require(lasers.sin_offset.size() == count, "lasers.sin_offset: one for each ring");
   require(lasers.offset_ns.rows() > 0 && lasers.offset_ns.columns() == static_cast<Index>(count),
           "lasers.offset_ns: at least one loop, with one for each ring");
+  require(lasers.lag_ns.rows() == lasers.offset_ns.rows() && lasers.lag_ns.columns() == static_cast<Index>(count),
+          "lasers.lag_ns: one for each of offset_ns");
   require(!lasers.group_ns.empty() && lasers.group_ns.size() % 2 == 0, "lasers.group_ns: of an even number of blocks");
   require(lasers.pair_ns.size() == lasers.group_ns.size() / 2, "lasers.pair_ns: one for every two of group_ns");
 }
@@ -293,6 +297,7 @@ void bind_hesai(nb::module_& module) {
                 "fields.loop: one of the loops for each packet");
         require(fields.near.size() == count, "fields.near: one for each packet");
         require(fields.far.size() == count, "fields.far: one for each packet");
+        require(fields.turn.size() == count, "fields.turn: one for each packet");
         check_returns(out);
         return self.decode(packets, wanted, fields, out);
       },
@@ -340,6 +345,7 @@ void bind_packets(nb::module_& module) {
       "The CRC of each packet's bytes from first until end.", "packets", "first", "end");
   bind_velodyne(module);
   bind_blocks<packets::Robosense>(module, "RobosenseDecoder", "write_robosense_returns");
+  bind_blocks<packets::Airy>(module, "AiryDecoder", "write_airy_returns");
   bind_hesai(module);
   def(
       module, "fire",

@@ -27,10 +27,10 @@ void require_finite(View<const double> values, const char* message) {
 Scanner make_scanner(View<const double> cos_head, View<const double> sin_head, double start_rad, double step_rad,
                      std::int64_t phases, View<const double> lag_rad, View<const double> gating_rad,
                      View<const double> offset_rad, View<const double> elevation_rad, Rows<const double> start_m,
-                     std::array<double, 2> range_m, std::array<double, 2> fov_rad) {
+                     View<const std::int32_t> phase, std::array<double, 2> range_m, std::array<double, 2> fov_rad) {
   const auto firings = lag_rad.size();
   require(cos_head.size() == sin_head.size(), "sin_head: one for each cos_head");
-  require(step_rad >= 1e-8 && step_rad <= 10, "step_rad: not from 1e-8 to 10");
+  require(step_rad == 0 || (step_rad >= 1e-8 && step_rad <= 10), "step_rad: not 0, nor from 1e-8 to 10");
   require(cos_head.size() < (std::size_t{1} << 31), "cos_head: too many heads");
   require(firings < (std::size_t{1} << 31), "lag_rad: too many firings");
   require(1 <= phases && phases <= 1 << 20, "phases: not from 1 to 2^20");
@@ -38,6 +38,14 @@ Scanner make_scanner(View<const double> cos_head, View<const double> sin_head, d
   require(offset_rad.size() == firings, "offset_rad: one for each firing");
   require(elevation_rad.size() == firings, "elevation_rad: one for each firing");
   require(start_m.rows() == std::ssize(lag_rad) && start_m.columns() == 3, "start_m: three numbers for each firing");
+  if (step_rad == 0) {
+    require(std::ssize(cos_head) == phases, "cos_head: one for each phase, where heads stand still");
+    require(phase.size() == firings, "phase: one for each firing, where heads stand still");
+    require(std::all_of(phase.begin(), phase.end(), [&](std::int32_t one) { return 0 <= one && one < phases; }),
+            "phase: not below phases");
+  } else {
+    require(phase.empty(), "phase: only where heads stand still");
+  }
   require_finite(lag_rad, "lag_rad: not finite");
   require_finite(gating_rad, "gating_rad: not finite");
   require_finite(offset_rad, "offset_rad: not finite");
@@ -46,7 +54,7 @@ Scanner make_scanner(View<const double> cos_head, View<const double> sin_head, d
   require_finite(fov_rad, "fov_rad: not finite");
   require(std::isfinite(start_rad), "start_rad: not finite");
   return Scanner(ScannerColumns{cos_head, sin_head, start_rad, step_rad, phases, lag_rad, gating_rad, offset_rad,
-                                elevation_rad, start_m, range_m, fov_rad});
+                                elevation_rad, start_m, phase, range_m, fov_rad});
 }
 
 std::vector<Place> places_of(Rows<const double> places) {
@@ -104,7 +112,7 @@ void bind_shapes(nb::module_& module) {
   nb::class_<Scanner> scanner(module, "Scanner", "A sensor's firing pattern, whatever its pose; it does not change.");
   init(scanner, make_scanner, "Heads at the start of cycles of all phases, and the firings of a cycle.", "cos_head",
        "sin_head", "start_rad", "step_rad", "phases", "lag_rad", "gating_rad", "offset_rad", "elevation_rad", "start_m",
-       "range_m", "fov_rad");
+       "phase", "range_m", "fov_rad");
   scanner.def_prop_ro("phases", [](const Scanner& self) { return self.phases(); });
   nb::class_<TargetShape> target(module, "TargetShape", "An object in its own frame; it does not change.");
   init(

@@ -50,7 +50,8 @@ struct Fields<Surfaces> {
 template <>
 struct Fields<Firings> {
   static constexpr auto members = fields(field("time_ns", &Firings::time_ns), field("laser", &Firings::laser),
-                                         field("encoder_rad", &Firings::encoder_rad));
+                                         field("encoder_rad", &Firings::encoder_rad),
+                                         field("elevation_rad", &Firings::elevation_rad));
 };
 
 template <>
@@ -129,6 +130,8 @@ void require_lasers(const Lasers& lasers) {
 void require_firings(const Firings& firings, const Lasers& lasers) {
   require(firings.laser.size() == firings.time_ns.size(), "firings.laser: one for each time");
   require(firings.encoder_rad.size() == firings.time_ns.size(), "firings.encoder_rad: one for each time");
+  require(firings.elevation_rad.empty() || firings.elevation_rad.size() == firings.time_ns.size(),
+          "firings.elevation_rad: one for each time, or none");
   require(std::all_of(firings.laser.begin(), firings.laser.end(),
                       [&](std::uint8_t one) { return one < lasers.cos_elevation.size(); }),
           "firings.laser: one of the lasers");

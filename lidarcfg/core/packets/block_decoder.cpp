@@ -15,18 +15,18 @@ namespace {
 template <class Maker>
 class Rotations {
  public:
-  Rotations(Index groups, Index blocks) : groups_(groups), blocks_(blocks), kept_(steps * groups * blocks) {}
+  Rotations(Index groups, Index columns) : groups_(groups), columns_(columns), kept_(steps * groups * columns) {}
 
-  /// (blocks,) for a group and its step, with its fractions (W,).
+  /// (columns,) for a group and its step, with its fractions (W,).
   View<const Turned> of(Index group, double step, const double* fraction) {
     const Index row = static_cast<Index>(step) & (steps - 1);
-    Turned* const turned = &kept_[(row * groups_ + group) * blocks_];
+    Turned* const turned = &kept_[(row * groups_ + group) * columns_];
     if (turned->step != step) {
-      for (Index block = 0; block < blocks_; ++block) {
-        turn(turned[block], step, fraction + block * slots_per_block);
+      for (Index column = 0; column < columns_; ++column) {
+        turn(turned[column], step, fraction + column * slots_per_column);
       }
     }
-    return {turned, static_cast<std::size_t>(blocks_)};
+    return {turned, static_cast<std::size_t>(columns_)};
   }
 
  private:
@@ -34,7 +34,7 @@ class Rotations {
 
   static void turn(Turned& turned, double step, const double* fraction) {
     turned.step = step;
-    for (Index k = 0; k < slots_per_block; ++k) {
+    for (Index k = 0; k < slots_per_column; ++k) {
       turned.angle_rad[k] = Maker::turned(step, fraction[k]);
       const Rotation rotation(turned.angle_rad[k]);
       turned.cos[k] = rotation.cos;
@@ -43,8 +43,8 @@ class Rotations {
   }
 
   Index groups_;
-  Index blocks_;
-  std::vector<Turned> kept_;  // (steps, groups, blocks)
+  Index columns_;
+  std::vector<Turned> kept_;  // (steps, groups, columns)
 };
 
 /// Four returns, which are twelve bytes; the four bytes after them are read, too.
@@ -65,9 +65,15 @@ void read_four(const std::uint8_t* at, int* distance, int* intensity) {
 /// The returns of a group of blocks (W,).
 template <class Maker>
 void read(View<const std::uint8_t> packet, Index first_slot, View<int> distance, View<int> intensity) {
-  static_assert(Maker::first_block + blocks_per_packet * block_bytes + 4 <= Maker::packet_bytes, "for read_four");
+  static_assert(Maker::slots_per_block % 4 == 0 && slots_per_packet % Maker::slots_per_block == 0, "for read_four");
+  static_assert(Maker::first_block + slots_per_packet / Maker::slots_per_block * block_bytes<Maker> + 4 <=
+                    Maker::packet_bytes,
+                "for read_four");
   for (Index k = 0; k < std::ssize(distance); k += 4) {
     read_four<Maker>(return_at<Maker>(packet, first_slot + k), &distance[k], &intensity[k]);
+  }
+  for (int& units : distance) {
+    units &= Maker::distance_mask;
   }
 }
 
@@ -90,11 +96,11 @@ Index BlockDecoder<Maker>::count(Rows<const std::uint8_t> packets, View<const bo
     if (!wanted[p]) {
       continue;
     }
-    for (Index block = 0; block < groups_ * points_.blocks(); ++block) {
-      const std::uint8_t* at = return_at<Maker>(packets[p], block * slots_per_block);
+    for (Index slot = 0; slot < groups_ * points_.columns() * slots_per_column; slot += Maker::slots_per_block) {
+      const std::uint8_t* at = return_at<Maker>(packets[p], slot);
       int here = 0;
-      for (Index k = 0; k < slots_per_block; ++k) {
-        here += (at[k * return_bytes] | at[k * return_bytes + 1]) != 0;
+      for (Index k = 0; k < Maker::slots_per_block; ++k) {
+        here += (word<Maker>(at + k * return_bytes) & Maker::distance_mask) != 0;
       }
       found += here;
     }
@@ -106,10 +112,10 @@ template <class Maker>
 Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
                                   View<const std::int64_t> stamp_ns, View<const std::int64_t> gap_ns,
                                   View<const std::uint8_t> kind, const Returns& out) const {
-  const Index blocks = points_.blocks();
-  const Index slots = blocks * slots_per_block;
+  const Index slots = points_.columns() * slots_per_column;
+  const Index blocks = slots / Maker::slots_per_block;  // in a group
   typename Maker::Turning turning(groups_, period_ns_, group_ns_);
-  Rotations<Maker> rotations(groups_, blocks);
+  Rotations<Maker> rotations(groups_, points_.columns());
   std::vector<std::uint16_t> azimuth(groups_);
   std::vector<int> distance(slots);
   std::vector<int> intensity(slots);
@@ -146,5 +152,6 @@ Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const b
 
 template class BlockDecoder<Velodyne>;
 template class BlockDecoder<Robosense>;
+template class BlockDecoder<Airy>;
 
 }  // namespace lidarcfg::packets

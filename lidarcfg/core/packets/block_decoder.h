@@ -1,4 +1,4 @@
-/// Decodes packets of twelve blocks, as Velodyne and RoboSense send them.
+/// Decodes packets of blocks, as Velodyne and RoboSense send them.
 #pragma once
 
 #include <vector>

@@ -12,9 +12,9 @@
 namespace lidarcfg::packets {
 namespace {
 
-constexpr Index width = slots_per_block;
+constexpr Index width = slots_per_column;
 
-/// Rows for one block, where the caller's end.
+/// Rows for one column, where the caller's end.
 struct SpareRows {
   Column<Vec3> xyz_m;
   Column<double> range_m, azimuth_rad;
@@ -85,33 +85,33 @@ BlockPoints::BlockPoints(const Slots& slots, const Lasers& lasers, double unit_m
 
 Index BlockPoints::write(const Group& group, const Returns& out, Index row) const {
   Index found = 0;
-  for (Index block = 0; block < blocks(); ++block) {
+  for (Index column = 0; column < columns(); ++column) {
     Points points;
-    locate(group, block, points);
+    locate(group, column, points);
     if (paired_) {
-      pair(group, block, points);
+      pair(group, column, points);
     }
     if (row + found + width <= out.size()) {
-      found += store(group, block, points, out, row + found);
+      found += store(group, column, points, out, row + found);
       continue;
     }
     SpareRows spare;
-    const Returns columns = spare.columns(out.polar());
-    const Index count = store(group, block, points, columns, 0);
+    const Returns rows = spare.columns(out.polar());
+    const Index count = store(group, column, points, rows, 0);
     if (row + found + count > out.size()) {
       throw std::invalid_argument("out: fewer rows than returns");
     }
-    copy(columns, count, out, row + found);
+    copy(rows, count, out, row + found);
     found += count;
   }
   return found;
 }
 
-void BlockPoints::locate(const Group& group, Index block, Points& points) const {
-  const Beams& beams = beams_[block];
-  const int* distance = &group.distance[block * width];
-  const int* intensity = &group.intensity[block * width];
-  const Turned& turned = group.turned[block];
+void BlockPoints::locate(const Group& group, Index column, Points& points) const {
+  const Beams& beams = beams_[column];
+  const int* distance = &group.distance[column * width];
+  const int* intensity = &group.intensity[column * width];
+  const Turned& turned = group.turned[column];
   const double cos_g = group.cos_azimuth;
   const double sin_g = group.sin_azimuth;
   Column<double> cos_h, sin_h;  // of the head's direction
@@ -167,11 +167,11 @@ void BlockPoints::correct_near(const Beams& beams, const int* distance, const Co
   }
 }
 
-/// Tell which of a block's dual returns are returns of their own, and of which kind.
-void BlockPoints::pair(const Group& group, Index block, Points& points) const {
-  const Beams& beams = beams_[block];
-  const int* distance = &group.distance[block * width];
-  const int* intensity = &group.intensity[block * width];
+/// Tell which of a column's dual returns are returns of their own, and of which kind.
+void BlockPoints::pair(const Group& group, Index column, Points& points) const {
+  const Beams& beams = beams_[column];
+  const int* distance = &group.distance[column * width];
+  const int* intensity = &group.intensity[column * width];
   Column<int> other_distance, other_intensity;
   for (Index k = 0; k < width; ++k) {
     other_distance[k] = group.distance[beams.other[k]];
@@ -186,10 +186,10 @@ void BlockPoints::pair(const Group& group, Index block, Points& points) const {
   }
 }
 
-/// Write what is kept of a block from a row on, after which there are enough for all slots; returns how many.
-Index BlockPoints::store(const Group& group, Index block, const Points& points, const Returns& out, Index row) const {
-  const Beams& beams = beams_[block];
-  const std::int64_t* offset_ns = &group.offset_ns[block * width];
+/// Write what is kept of a column from a row on, after which there are enough for all slots; returns how many.
+Index BlockPoints::store(const Group& group, Index column, const Points& points, const Returns& out, Index row) const {
+  const Beams& beams = beams_[column];
+  const std::int64_t* offset_ns = &group.offset_ns[column * width];
   const std::int64_t began_ns = group.began_ns;
   Vec3* const xyz_m = &out.xyz_m[row];
   std::int64_t* const time_ns = &out.time_ns[row];
@@ -215,8 +215,8 @@ Index BlockPoints::store(const Group& group, Index block, const Points& points, 
   for (Index k = 0; k < width; ++k) {
     if (points.kept[k] != 0) {
       constexpr double turn = 2 * std::numbers::pi;
-      const double angle = group.azimuth_rad + group.turned[block].angle_rad[k] + beams.azimuth_offset[k];
-      out.range_m[at] = group.distance[block * width + k] * unit_m_ + beams.offset[k];
+      const double angle = group.azimuth_rad + group.turned[column].angle_rad[k] + beams.azimuth_offset[k];
+      out.range_m[at] = group.distance[column * width + k] * unit_m_ + beams.offset[k];
       out.azimuth_rad[at] = angle - turn * std::floor(angle / turn);
       ++at;
     }

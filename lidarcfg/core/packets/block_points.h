@@ -1,4 +1,4 @@
-/// The points of blocks of 32 returns, for all makers whose packets have such.
+/// The points of blocks, in columns of 32 returns, for all makers whose packets have such.
 #pragma once
 
 #include <limits>
@@ -31,11 +31,11 @@ struct Lasers {
   Rows<const double> focal;        // (L, 4) as `Focus` has it, or (0, 4) if intensities are right as they come
 };
 
-/// A value for each slot of a block.
+/// A value for each slot of a column.
 template <class T>
-using Column = std::array<T, slots_per_block>;
+using Column = std::array<T, slots_per_column>;
 
-/// How far the head has turned at each slot of a block since the group's azimuth.
+/// How far the head has turned at each slot of a column since the group's azimuth.
 struct Turned {
   double step = std::numeric_limits<double>::quiet_NaN();  // for which this was computed
   Column<double> angle_rad;
@@ -47,7 +47,7 @@ struct Turned {
 struct Group {
   View<const int> distance;            // (W,) in units of the packet; 0 is no return
   View<const int> intensity;           // (W,)
-  View<const Turned> turned;           // (blocks,)
+  View<const Turned> turned;           // (columns,)
   View<const std::int64_t> offset_ns;  // (W,)
   double azimuth_rad;
   double cos_azimuth;
@@ -61,15 +61,15 @@ class BlockPoints {
  public:
   BlockPoints(const Slots& slots, const Lasers& lasers, double unit_m);
 
-  /// The number of blocks in a group.
-  Index blocks() const { return std::ssize(beams_); }
+  /// The number of columns in a group.
+  Index columns() const { return std::ssize(beams_); }
 
   /// Write an entry for each of a group's returns, from a row on; returns how many. Of an identical pair, only the
   /// first is a return, the strongest. Throws std::invalid_argument if there are not enough rows.
   Index write(const Group& group, const Returns& out, Index row) const;
 
  private:
-  /// The lasers of a block's slots.
+  /// The lasers of a column's slots.
   struct Beams {
     Column<int> laser_ring;  // laser, and 256 times the ring
     Column<int> kind;
@@ -81,20 +81,20 @@ class BlockPoints {
     Column<std::array<double, 4>> focal;
   };
 
-  /// A block's points, of slots with a return and of those without.
+  /// A column's points, of slots with a return and of those without.
   struct Points {
     Column<double> x, y, z;
     Column<int> kept;
     Column<int> intensity, kind;
   };
 
-  void locate(const Group& group, Index block, Points& points) const;
+  void locate(const Group& group, Index column, Points& points) const;
   void correct_near(const Beams& beams, const int* distance, const Column<double>& c, const Column<double>& s,
                     Column<double>& ahead, Column<double>& side) const;
-  void pair(const Group& group, Index block, Points& points) const;
-  Index store(const Group& group, Index block, const Points& points, const Returns& out, Index row) const;
+  void pair(const Group& group, Index column, Points& points) const;
+  Index store(const Group& group, Index column, const Points& points, const Returns& out, Index row) const;
 
-  std::vector<Beams> beams_;  // (blocks,)
+  std::vector<Beams> beams_;  // (columns,)
   double unit_m_;
   bool paired_;
   bool forward_;

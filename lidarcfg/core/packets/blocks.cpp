@@ -30,5 +30,7 @@ template void write_returns<Velodyne>(Rows<const double>, Rows<const std::uint8_
                                       View<const double>, Limits, Rows<std::uint8_t>);
 template void write_returns<Robosense>(Rows<const double>, Rows<const std::uint8_t>, View<const std::int64_t>,
                                        View<const double>, Limits, Rows<std::uint8_t>);
+template void write_returns<Airy>(Rows<const double>, Rows<const std::uint8_t>, View<const std::int64_t>,
+                                  View<const double>, Limits, Rows<std::uint8_t>);
 
 }  // namespace lidarcfg::packets

@@ -1,7 +1,8 @@
-/// Packets of twelve blocks of 32 returns, as Velodyne and RoboSense send them: a block is a flag, an azimuth, and
-/// for each return two bytes of distance and one of intensity.
+/// Packets of blocks, as Velodyne and RoboSense send them: a block is a flag, an azimuth, and for each return two bytes
+/// of distance and one of intensity. Twelve blocks of 32 returns are the rule.
 ///
-/// A maker is a type that says what is its own: where the blocks begin, the order of bytes, how its head turns.
+/// A maker is a type that says what is its own: where the blocks begin and what they hold, the order of bytes, how its
+/// head turns. Returns are decoded in columns of 32, whatever the size of a block.
 #pragma once
 
 #include <cmath>
@@ -10,20 +11,22 @@
 
 namespace lidarcfg::packets {
 
-constexpr Index blocks_per_packet = 12;
-constexpr Index slots_per_block = 32;
-constexpr Index block_bytes = 100;
+constexpr Index slots_per_packet = 384;
+constexpr Index slots_per_column = 32;
 constexpr Index block_head_bytes = 4;
 constexpr Index return_bytes = 3;
+
+template <class Maker>
+constexpr Index block_bytes = block_head_bytes + Maker::slots_per_block * return_bytes;
 
 /// The bytes of a packet's returns, which are numbered block by block.
 template <class Maker, class Byte>
 Byte* return_at(View<Byte> packet, Index slot) {
-  return packet.data() + Maker::first_block + slot / slots_per_block * block_bytes + block_head_bytes +
-         slot % slots_per_block * return_bytes;
+  return packet.data() + Maker::first_block + slot / Maker::slots_per_block * block_bytes<Maker> +
+         block_head_bytes + slot % Maker::slots_per_block * return_bytes;
 }
 
-/// The number of two bytes.
+/// The number in two bytes.
 template <class Maker>
 std::uint16_t word(const std::uint8_t* bytes) {
   return Maker::big_endian ? bytes[0] << 8 | bytes[1] : bytes[1] << 8 | bytes[0];
@@ -37,7 +40,7 @@ void set_word(std::uint8_t* bytes, std::uint16_t value) {
 
 template <class Maker>
 std::uint16_t azimuth_of(View<const std::uint8_t> packet, Index block) {
-  return word<Maker>(packet.data() + Maker::first_block + block * block_bytes + 2);
+  return word<Maker>(packet.data() + Maker::first_block + block * block_bytes<Maker> + 2);
 }
 
 /// What is written into packets, and how: ranges in whole units.

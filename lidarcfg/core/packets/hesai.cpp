@@ -3,6 +3,7 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <numbers>
 #include <stdexcept>
 
@@ -80,6 +81,7 @@ Decoder::Decoder(const Lasers& lasers)
       sin_o_(owned(lasers.sin_offset)),
       ring_(owned(lasers.ring)),
       offset_ns_(lasers.offset_ns.data(), lasers.offset_ns.data() + lasers.offset_ns.size()),
+      lag_ns_(lasers.lag_ns.data(), lasers.lag_ns.data() + lasers.lag_ns.size()),
       group_ns_(owned(lasers.group_ns)),
       pair_ns_(owned(lasers.pair_ns)) {}
 
@@ -101,12 +103,22 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
   const Index lasers = layout_.lasers;
   std::array<Block, 2> pairs;
   std::array<double, lasers_max> x, y, z;
+  std::vector<double> cos_o(lag_ns_.size()), sin_o(lag_ns_.size());  // (loops, L) of the offset and the turn
+  double turn = std::numeric_limits<double>::quiet_NaN();            // of which these are
   Index row = 0;
   for (Index p = 0; p < packets.rows(); ++p) {
     if (!wanted[p]) {
       continue;
     }
     const double unit_m = fields.unit_mm[p] / 1000.0;
+    if (fields.turn[p] != turn) {
+      turn = fields.turn[p];
+      for (Index i = 0; i < std::ssize(lag_ns_); ++i) {
+        const auto [cos_t, sin_t] = cos_sin(turn * static_cast<double>(lag_ns_[i]));
+        cos_o[i] = cos_o_[i % lasers] * cos_t - sin_o_[i % lasers] * sin_t;
+        sin_o[i] = sin_o_[i % lasers] * cos_t + cos_o_[i % lasers] * sin_t;
+      }
+    }
     for (Index b = 0; b < layout_.blocks; ++b) {
       Block& block = pairs[b % 2];
       std::int64_t start_ns = fields.stamp_ns[p];
@@ -127,11 +139,13 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
       }
       const double azimuth_rad = word(layout_.azimuth(packets[p], b)) * radians_per_hundredth;
       const auto [cos_a, sin_a] = cos_sin(azimuth_rad);
+      const double* cos_k = cos_o.data() + loop * lasers;
+      const double* sin_k = sin_o.data() + loop * lasers;
       for (Index k = 0; k < lasers; ++k) {  // with a return or without
         const double range_m = block.distance[k] * unit_m;
         const double flat_m = range_m * cos_w_[k];
-        x[k] = flat_m * (sin_a * cos_o_[k] + cos_a * sin_o_[k]);
-        y[k] = flat_m * (cos_a * cos_o_[k] - sin_a * sin_o_[k]);
+        x[k] = flat_m * (sin_a * cos_k[k] + cos_a * sin_k[k]);
+        y[k] = flat_m * (cos_a * cos_k[k] - sin_a * sin_k[k]);
         z[k] = range_m * sin_w_[k];
       }
       for (Index k = 0; k < lasers; ++k) {
@@ -148,10 +162,10 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
         out.intensity[row] = static_cast<std::uint8_t>(block.reflectivity[k]);
         out.return_type[row] = static_cast<std::uint8_t>(block.kind[k]);
         if (out.polar()) {
-          constexpr double turn = 2 * std::numbers::pi;
-          const double angle = azimuth_rad + lidarcfg::atan2(sin_o_[k], cos_o_[k]) - std::numbers::pi / 2;
+          constexpr double circle = 2 * std::numbers::pi;
+          const double angle = azimuth_rad + lidarcfg::atan2(sin_k[k], cos_k[k]) - std::numbers::pi / 2;
           out.range_m[row] = block.distance[k] * unit_m;
-          out.azimuth_rad[row] = angle - turn * std::floor(angle / turn);
+          out.azimuth_rad[row] = angle - circle * std::floor(angle / circle);
         }
         ++row;
       }

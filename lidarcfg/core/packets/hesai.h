@@ -40,6 +40,7 @@ struct Lasers {
   View<const double> sin_offset;       // (L,)
   View<const std::uint8_t> ring;       // (L,)
   Rows<const std::int64_t> offset_ns;  // (loops, L) of each laser in a block; blocks go through the loops
+  Rows<const std::int64_t> lag_ns;     // (loops, L) how long the head turns from a block's azimuth to the laser's
   View<const std::int64_t> group_ns;   // (B,) when each block starts with single returns, after the packet's stamp
   View<const std::int64_t> pair_ns;    // (B / 2,) when each pair of blocks starts with dual returns
 };
@@ -52,6 +53,7 @@ struct PacketFields {
   View<const std::uint8_t> loop;      // (P,) with dual returns: which lasers fire
   View<const std::uint8_t> near;      // (P,) the kind of single returns, or of a pair's nearer one
   View<const std::uint8_t> far;       // (P,) the kind of a pair's farther return
+  View<const double> turn;            // (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
 };
 
 /// Stands for a pair's kinds in `near` and `far`, where the block tells which is the strongest.
@@ -71,7 +73,7 @@ class Decoder {
   /// Fill in the returns of the packets that are wanted, in their order; returns how many. Throws
   /// std::invalid_argument if there are not enough rows.
   ///
-  /// All lasers of a block point where its azimuth says.
+  /// A laser points where its block's azimuth says, its own offset and the turn in its lag further.
   Index decode(Rows<const std::uint8_t> packets, View<const bool> wanted, const PacketFields& fields,
                const Returns& out) const;
 
@@ -82,6 +84,7 @@ class Decoder {
   std::vector<double> cos_o_, sin_o_;  // (L,) of the azimuth offset
   std::vector<std::uint8_t> ring_;
   std::vector<std::int64_t> offset_ns_;  // (loops, L)
+  std::vector<std::int64_t> lag_ns_;     // (loops, L)
   std::vector<std::int64_t> group_ns_, pair_ns_;
 };
 

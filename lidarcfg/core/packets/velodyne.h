@@ -10,6 +10,8 @@ namespace lidarcfg::packets {
 struct Velodyne {
   using Turning = VelodyneTurning;
   static constexpr Index first_block = 0;
+  static constexpr Index slots_per_block = 32;
+  static constexpr int distance_mask = 0xFFFF;
   static constexpr bool big_endian = false;
   static constexpr Index packet_bytes = 1206;
 

@@ -43,7 +43,7 @@ Scanner::Scanner(const ScannerColumns& columns)
   for (Index f = 0; f < std::ssize(columns.lag_rad); ++f) {
     const double elevation = columns.elevation_rad[f];
     Firing one;
-    one.lag_rad = columns.lag_rad[f];
+    one.lag_rad = stands_still() ? wrapped(columns.lag_rad[f]) : columns.lag_rad[f];
     one.gating_rad = columns.gating_rad[f];
     one.offset_rad = columns.offset_rad[f];
     one.steep = std::abs(elevation) > steep_rad;
@@ -57,8 +57,12 @@ Scanner::Scanner(const ScannerColumns& columns)
     one.forward_m = columns.start_m(f, 0);
     one.left_m = columns.start_m(f, 1);
     one.up_m = columns.start_m(f, 2);
+    one.phase = stands_still() ? columns.phase[f] : 0;
     beside_m_ = std::max(beside_m_, std::sqrt(one.forward_m * one.forward_m + one.left_m * one.left_m));
     firings_.push_back(one);
+  }
+  if (stands_still()) {
+    std::ranges::stable_sort(firings_, {}, &Firing::lag_rad);
   }
 }
 
@@ -117,7 +121,13 @@ void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const Targe
   if (seen.near_m > scanner.most_m() * (1 + wider) + wider) {
     return;
   }
-  for (Index f = 0; f < std::ssize(scanner.firings()); ++f) {
+  if (scanner.stands_still()) {
+    const double begin = wrapped(seen.first_rad);
+    const double end = begin + (seen.last_rad - seen.first_rad);
+    add_still(seen, begin, std::min(end, turn));
+    add_still(seen, 0, std::min(end - turn, std::nextafter(begin, -1.0)));
+  }
+  for (Index f = 0; !scanner.stands_still() && f < std::ssize(scanner.firings()); ++f) {
     if (seen.meets(scanner.firings()[f])) {
       add(seen, f);
     }
@@ -218,6 +228,17 @@ void AimedBeams::add(const Window& window, Index firing) {
     const double last = std::min(end, turned + width);
     if (first <= last) {
       add_heads(firing, first, last);
+    }
+  }
+}
+
+/// Add those firings of heads that stand still that point at a window and lag from one angle to another.
+void AimedBeams::add_still(const Window& window, double begin_rad, double end_rad) {
+  const View<const Scanner::Firing> all = scanner_->firings();
+  auto at = std::ranges::lower_bound(all, begin_rad, {}, &Scanner::Firing::lag_rad);
+  for (; at != all.end() && at->lag_rad <= end_rad; ++at) {
+    if (window.meets(*at)) {
+      heads_.push_back({static_cast<std::int32_t>(at - all.begin()), at->phase, at->phase + 1});
     }
   }
 }

@@ -15,18 +15,19 @@ namespace lidarcfg::placement {
 using Matrix3 = std::array<Vec3, 3>;  // rows
 
 /// A sensor's firing pattern, whatever its pose. `phases` revolutions that start at evenly shifted phases are woven
-/// into one: H heads, F firings a head.
+/// into one: H heads, F firings a head. Where heads stand still, there is one a phase, and each firing is of one.
 struct ScannerColumns {
   View<const double> cos_head;  // (H,) of where heads are at the start of cycles, of all phases, ascending
   View<const double> sin_head;
   double start_rad;                  // of the first head
-  double step_rad;                   // from one head to the next
+  double step_rad;                   // from one head to the next; 0: they stand still
   std::int64_t phases;               // head n is of phase n % phases
   View<const double> lag_rad;        // (F,) from the head's start to the encoder's angle at each firing
   View<const double> gating_rad;     // (F,) and to the angle that decides whether it is in the field of view
   View<const double> offset_rad;     // (F,) from the encoder's angle to the beam's azimuth
   View<const double> elevation_rad;  // (F,)
   Rows<const double> start_m;        // (F, 3) where the beam starts: forward, left, up
+  View<const std::int32_t> phase;    // (F,) of each firing, if heads stand still
   std::array<double, 2> range_m;     // least, greatest
   std::array<double, 2> fov_rad;     // from, width
 };
@@ -47,9 +48,10 @@ class Scanner {
     double cos_elevation, sin_elevation;
     double forward_m, left_m, up_m;
     bool steep;  // nearly along the axis
+    std::int32_t phase;
   };
 
-  View<const Firing> firings() const { return firings_; }
+  View<const Firing> firings() const { return firings_; }  // by ascending lag, from 0 to a turn, of heads that stand
   Index heads() const { return std::ssize(heads_->cos); }
   const double* cos_head() const { return heads_->cos.data(); }
   const double* sin_head() const { return heads_->sin.data(); }
@@ -62,6 +64,7 @@ class Scanner {
   double fov_from_rad() const { return fov_rad_[0]; }
   double fov_width_rad() const { return fov_rad_[1]; }
   bool sees_all_around() const;
+  bool stands_still() const { return step_rad_ == 0; }
 
   /// Whether a firing at one of its heads is outside the field of view.
   bool is_outside(Index firing, Index head) const;
@@ -134,6 +137,7 @@ class AimedBeams {
 
   Window window() const;
   void add(const Window& window, Index firing);
+  void add_still(const Window& window, double begin_rad, double end_rad);
   void put_middle_first(const Window& seen);
   void add_heads(Index firing, double begin_rad, double end_rad);
 

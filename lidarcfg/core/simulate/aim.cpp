@@ -39,6 +39,7 @@ void Aim<Width>::set(const Firings& firings, View<const Index> which, Index lase
     encoder_rad_[n] = firings.encoder_rad[which[n]];
   }
   move(firings, which);
+  raise(firings, which, laser);
   point(laser);
   spread();
 }
@@ -92,11 +93,24 @@ void Aim<Width>::move(const Firings& firings, View<const Index> which) {
   }
 }
 
+/// Find how high beams point.
+template <int Width>
+void Aim<Width>::raise(const Firings& firings, View<const Index> which, Index laser) {
+  if (firings.elevation_rad.empty()) {
+    std::fill_n(cos_elevation_, beams_, lasers_.cos_elevation[laser]);
+    std::fill_n(sin_elevation_, beams_, lasers_.sin_elevation[laser]);
+    return;
+  }
+  for (int n = 0; n < beams_; ++n) {
+    const auto [cos, sin] = cos_sin(firings.elevation_rad[which[n]]);
+    cos_elevation_[n] = cos;
+    sin_elevation_[n] = sin;
+  }
+}
+
 /// Find where beams start, and their axes: the directions of a beam's first ray, for now.
 template <int Width>
 void Aim<Width>::point(Index laser) {
-  const double cos_elevation = lasers_.cos_elevation[laser];
-  const double sin_elevation = lasers_.sin_elevation[laser];
   const double cos_offset = lasers_.cos_offset[laser];
   const double sin_offset = lasers_.sin_offset[laser];
   const double forward_m = lasers_.forward_m[laser];
@@ -107,9 +121,9 @@ void Aim<Width>::point(Index laser) {
     const auto [cos_head, sin_head] = cos_sin(encoder_rad_[n]);
     const double c = cos_head * cos_offset - sin_head * sin_offset;
     const double s = sin_head * cos_offset + cos_head * sin_offset;
-    axes[0][n] = cos_elevation * c;
-    axes[1][n] = -cos_elevation * s;
-    axes[2][n] = sin_elevation;
+    axes[0][n] = cos_elevation_[n] * c;
+    axes[1][n] = -cos_elevation_[n] * s;
+    axes[2][n] = sin_elevation_[n];
     starts_[0][n] = left_m * s + forward_m * cos_head;
     starts_[1][n] = left_m * c - forward_m * sin_head;
     starts_[2][n] = up_m;

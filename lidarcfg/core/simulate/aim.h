@@ -74,6 +74,7 @@ class Aim {
  private:
   void move(const Firings& firings, View<const Index> which);
   void mount();
+  void raise(const Firings& firings, View<const Index> which, Index laser);
   void point(Index laser);
   void spread();
   void place(const Poses& poses, Rays<Width>& rays) const;
@@ -87,6 +88,8 @@ class Aim {
   Vec3 velocity_m_s_;  // of the sensor, unless the vehicle turns
   int beams_ = 0;
   alignas(32) Lanes encoder_rad_;
+  alignas(32) Lanes cos_elevation_;
+  alignas(32) Lanes sin_elevation_;
   Poses vehicle_;  // on its path, if it turns
   Poses in_world_;
   Poses in_vehicle_;

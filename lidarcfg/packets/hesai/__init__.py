@@ -1,8 +1,8 @@
 """Hesai's packets.
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
-`telemetry` the files of angles, `encode` and `decode` the returns. `Hesai` is the codec, by which the rest of the
-package knows them.
+`telemetry` the files of angles, `encode` and `decode` the returns, `emulator` PTC. `Hesai` is the codec, by
+which the rest of the package knows them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,11 +12,13 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.emulator import Site
 from lidarcfg.packets.hesai import decode, encode, telemetry
+from lidarcfg.packets.hesai.emulator import HesaiEmulator
 from lidarcfg.packets.hesai.layout import bytes_of
 from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, unit
 from lidarcfg.packets.point_fields import STAMPED
-from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Pattern
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Pattern, ranked
 from lidarcfg.sensors.rig import SINGLE, Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.units import MINUTE_NS
@@ -59,6 +61,8 @@ class Hesai(Codec):
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
         """One return alone is the strongest."""
         kinds = np.array(super().return_types(mount, range_m, reflectivity))
+        if mount.dual and mount.return_mode != "two-strongest":
+            kinds = ranked(kinds, self.unit.range.holds_both(range_m), reflectivity)
         if mount.dual:
             kinds[encode.holds_one(self.unit, range_m, reflectivity)] = RETURN_TYPES["strongest"]
         return kinds
@@ -88,9 +92,13 @@ class Hesai(Codec):
         if beams is None:
             what = f"no *{telemetry.SUFFIX} beside it; the nominal angles of {self.unit.name} are taken"
             source.on_warning(f"{source.where}: {what}")
-            return decode.HesaiDecoder(source.where, self.unit)
+            return decode.HesaiDecoder(source.where, self.unit, source.driver_view)
         sensor = self.unit.sensor.model_copy(update={"beams": beams})
-        return decode.HesaiDecoder(source.where, Unit(sensor, self.unit.facts))
+        return decode.HesaiDecoder(source.where, Unit(sensor, self.unit.facts), source.driver_view)
+
+    def emulator(self, source: Source, packets: Bytes, site: Site) -> HesaiEmulator:
+        """PTC."""
+        return HesaiEmulator(self.unit, source, site)
 
     def firing_ns(self) -> Times:
         """(L,) in the first loop; for a laser that rests there, in the second."""

@@ -27,9 +27,14 @@ from lidarcfg.packets.hesai.layout import (
 from lidarcfg.packets.hesai.model import Unit
 from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST, Batch, Firings
 from lidarcfg.sensors.rig import SINGLE
+from lidarcfg.units import MINUTE_NS
 
 PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
 LASERS = {16, 32, 40, 64, 128}
+OLDER = {  # first bytes, of models whose packets have no protocol, and sizes: with and without a sequence number
+    "Pandar40P": (b"\xff\xee", (1262, 1266)),
+    "Pandar64": (b"\xee\xff\x40\x06", (1194, 1198)),
+}
 SEQUENCES = 1 << 32
 SLACK = 8  # lost packets beyond those that fit the elapsed time; with more, the sensor was restarted
 BY_BLOCK = 254  # which of a pair is the strongest, its block tells
@@ -51,6 +56,7 @@ class PacketFields(NamedTuple):
     loop: Bytes  # (P,) with dual returns: which lasers fire
     near: Bytes  # (P,) the type of a pair's nearer return, or of single returns
     far: Bytes  # (P,) the type of a pair's farther return
+    turn: Array  # (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
 
 
 class Lasers(NamedTuple):
@@ -62,6 +68,7 @@ class Lasers(NamedTuple):
     sin_offset: Array
     ring: Bytes
     offset_ns: Times  # (loops, L)
+    lag_ns: Times  # (loops, L) how long the head turns from a block's azimuth to the laser's
     group_ns: Times  # (B,) single: when each block starts, after the stamp
     pair_ns: Times  # (B / 2,) dual: when each pair starts
 
@@ -69,9 +76,10 @@ class Lasers(NamedTuple):
 class HesaiDecoder(Decoder):
     """Decodes the packets of one Hesai sensor."""
 
-    def __init__(self, where: str, unit: Unit) -> None:
+    def __init__(self, where: str, unit: Unit, driver_view: bool = False) -> None:
         self._where = where
         self._unit = unit
+        self._driver_view = driver_view
         self._counter = PacketLossCounter(unit)
         self.period_ns = unit.period_ns()
 
@@ -98,13 +106,16 @@ class HesaiDecoder(Decoder):
         return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
-        return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False)
+        return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False, driver_view=self._driver_view)
 
 
-def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True) -> Returns:
+def decode(
+    unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True, driver_view: bool = False
+) -> Returns:
     """The returns of packets (P,), or of those that are wanted (P,). Without `polar`, ranges and azimuths are empty.
 
-    All lasers of a block point where its azimuth says, as published drivers have it: see docs/hesai.md.
+    All lasers of a block point where its azimuth says, as published drivers have it: see docs/hesai.md. With
+    `driver_view`, each points where the head has turned when it fires, as in Hesai's SDK with its firing time file.
     Raises PacketError.
     """
     check(unit, packets)
@@ -126,9 +137,10 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         loop=loop,
         near=near[modes],
         far=far[modes],
+        turn=packets["tail"]["rpm"] * (driver_view * 2 * np.pi / MINUTE_NS),
     )
     data = bytes_of(packets)
-    decoder = _decoder(unit)
+    decoder = _decoder(unit, driver_view)
     out = Returns.allocate(decoder.count(data, wanted), polar)
     return out.first(decoder.decode(data, wanted, fields, out))
 
@@ -163,8 +175,9 @@ def _other(name: str, key: str, right: int, value: int) -> str:
 
 
 @lru_cache
-def _decoder(unit: Unit) -> core.HesaiDecoder:
+def _decoder(unit: Unit, driver_view: bool) -> core.HesaiDecoder:
     sensor = unit.sensor
+    group_ns = unit.driver_group_ns if driver_view else unit.group_ns
     lasers = Lasers(
         cos_elevation=maths.cos(sensor.elevation_rad),
         sin_elevation=maths.sin(sensor.elevation_rad),
@@ -172,8 +185,9 @@ def _decoder(unit: Unit) -> core.HesaiDecoder:
         sin_offset=maths.sin(sensor.azimuth_offset_rad),
         ring=sensor.ring.astype(np.uint8),
         offset_ns=unit.offset_ns,
-        group_ns=unit.group_ns(dual=False),
-        pair_ns=unit.group_ns(dual=True),
+        lag_ns=unit.driver_lag_ns,
+        group_ns=group_ns(dual=False),
+        pair_ns=group_ns(dual=True),
     )
     return core.HesaiDecoder(lasers)
 
@@ -256,14 +270,24 @@ class PacketLossCounter:
 
 def matches(size: int, payload: bytes) -> bool:
     """Whether a payload begins as one of Hesai's."""
+    if _older(size, payload):
+        return True
     if size < HEADER.itemsize or not payload.startswith(START):
         return False
     header = np.frombuffer(payload, HEADER, 1)[0]
     return (int(header["major"]), int(header["minor"])) in PROTOCOLS and int(header["lasers"]) in LASERS
 
 
+def _older(size: int, payload: bytes) -> str | None:
+    """The model of Hesai's that sends such packets without a protocol, if there is one."""
+    return next((name for name, (start, sizes) in OLDER.items() if size in sizes and payload.startswith(start)), None)
+
+
 def identify(where: str, packets: Bytes, known: Sequence[Unit]) -> Unit:
     """Which of the known sensors sends these packets (P, size). Raises PacketError, which begins with `where`."""
+    if older := _older(packets.shape[1], packets[0].tobytes()):
+        names = ", ".join(unit.name for unit in known)
+        raise PacketError(f"{where} sends Hesai's {older} packets of {packets.shape[1]} bytes; read are {names}")
     headers, counts = np.unique(packets[:, : HEADER.itemsize], axis=0, return_counts=True)
     header = headers[counts.argmax()].view(HEADER)[0]  # the most frequent header: a packet may be damaged
     protocol = f"{header['major']}.{header['minor']}"

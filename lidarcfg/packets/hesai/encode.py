@@ -69,8 +69,8 @@ def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity:
     tail["microseconds"] = stamp_ns % SECOND_NS // 1000
     tail["sequence"] = batch.number
     if unit.facts.packet.protocol == "3.2":
-        if dual and len(unit.fires) > 1:
-            packets["mode_flag"] = 1 - loop[:, 0]
+        if len(unit.fires) > 1:
+            packets["mode_flag"] = 1 - loop[:, 0]  # with single returns too Hesai's SDK takes the first loop from it
         write_safety(packets, stamp_ns)
     return packets
 

@@ -140,6 +140,22 @@ class Unit(SensorInstance[Facts]):
         before = np.arange(1 - self.groups(dual), 1)
         return before * self.facts.firing.period_ns + self.facts.firing.stamp_ns
 
+    def driver_group_ns(self, dual: bool) -> Times:
+        """The same in Hesai's SDK, where the first firing of a QT128's packet starts after the stamp, not the last."""
+        late_ns = self._counts_from_start * (self.groups(dual) - 1) * self.facts.firing.period_ns
+        return self.group_ns(dual) + late_ns
+
+    @property
+    def driver_lag_ns(self) -> Times:
+        """(loops, L): how long the head turns before a laser fires, by Hesai's firing time file; 0 where it rests."""
+        start_ns = 0 if self._counts_from_start else self.facts.firing.stamp_ns
+        return np.where(self.fires, self.offset_ns + start_ns, 0)
+
+    @property
+    def _counts_from_start(self) -> bool:
+        """Whether Hesai's firing times are after the start of the first firing; else they are after the stamp."""
+        return self.facts.packet.protocol == "3.2"
+
     def packets_of(self, data: Bytes) -> Packets:
         """(P,) packets of (P, size) bytes, in the same memory."""
         return np.ascontiguousarray(data).view(self.dtype)[:, 0]

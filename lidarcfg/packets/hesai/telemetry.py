@@ -14,16 +14,22 @@ from lidarcfg.sensors.sensor import Beams
 SUFFIX = "-angles.csv"
 NAMED = re.compile(r"-\d+\.\d+\.\d+\.\d+-\d+-angles\.csv$")  # whose they are, by address and port
 ROW = re.compile(r"\s*(\d+)\s*,\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*,?\s*")
+NO_ANGLE = re.compile(r"\s*\d+\s*,.*?([-+]?\b(?:nan|inf|infinity))\b.*", re.IGNORECASE)
 
 
-def correction_file(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
-    """The mount's angles in the format of Hesai's own files, by the suffix of the file's name."""
-    sensor = unit.sensor
-    rows = zip(sensor.beams.elevation_deg, sensor.beams.azimuth_offset_deg or (0.0,) * unit.count, strict=True)
-    lines = [
+def correction_lines(unit: Unit) -> list[str]:
+    """The model's angles in the format of Hesai's own files."""
+    beams = unit.sensor.beams
+    rows = zip(beams.elevation_deg, beams.azimuth_offset_deg or (0.0,) * unit.count, strict=True)
+    return [
         "Channel,Elevation,Azimuth",
         *(f"{k},{elevation!r},{offset!r}" for k, (elevation, offset) in enumerate(rows, 1)),
     ]
+
+
+def correction_file(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
+    """The mount's angles, by the suffix of the file's name."""
+    lines = correction_lines(unit)
     return {f"-{mount.host}-{mount.data_port}{SUFFIX}": "\n".join([*lines, ""]).encode()}
 
 
@@ -50,6 +56,8 @@ def parse_corrections(name: str, content: bytes) -> Beams:
     """The angles of channels 1, 2 and on. Raises PacketError, which says where."""
     angles: dict[int, tuple[float, float]] = {}
     for number, line in enumerate(content.decode("utf-8-sig", "replace").splitlines(), 1):
+        if wrong := NO_ANGLE.fullmatch(line):
+            raise PacketError(f"{name}:{number}: an angle is {wrong[1]}; allowed: degrees")
         row = ROW.fullmatch(line)
         if row is None:
             if angles and line.strip(" ,"):

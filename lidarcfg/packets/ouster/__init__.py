@@ -1,8 +1,8 @@
 """Ouster's packets.
 
 To read in this order: `layout` has the bytes, `model` what they depend on and when columns are measured, `telemetry`
-the metadata and the inertial measurements, `encode` and `decode` the returns. `Ouster` is the codec, by which the rest
-of the package knows them.
+the metadata and the inertial measurements, `encode` and `decode` the returns, `emulator` the HTTP interface. `Ouster`
+is the codec, by which the rest of the package knows them.
 """
 
 import math
@@ -14,7 +14,9 @@ import numpy as np
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.emulator import Site
 from lidarcfg.packets.ouster import decode, encode, telemetry
+from lidarcfg.packets.ouster.emulator import OusterEmulator
 from lidarcfg.packets.ouster.model import Facts, Mode, Settings, Unit, batches, mode, unit
 from lidarcfg.packets.point_fields import OUSTER
 from lidarcfg.sensors.firing import Batch, Pace, Pattern
@@ -105,6 +107,10 @@ class Ouster(Codec):
             what = f"{metadata.name} is of {metadata.line} with {metadata.layout.pixels} beams"
             raise PacketError(f"{source.where}: {what}, not of {sensor.name} with {sensor.count}")
         return decode.OusterDecoder(source.where, metadata, sensor.name)
+
+    def emulator(self, source: Source, packets: Bytes, site: Site) -> OusterEmulator:
+        """The HTTP interface."""
+        return OusterEmulator(source, packets, site)
 
     def firing_ns(self) -> Times:
         """All fire at once."""

@@ -250,6 +250,16 @@ def write_packet_headers(layout: Layout, packets: Bytes, headers: PacketHeaders)
     packets[:, 16:20] = headers.thermal_countdown, headers.shot_countdown, headers.thermal, headers.shot
 
 
+def add_frames(layout: Layout, packets: Bytes, count: int) -> None:
+    """Add to the frame's number of packets (P, size), of the lidar or framed ones of the inertial unit."""
+    if layout.legacy:
+        column_values(layout, packets, "<u2", 10)[:] += np.uint16(count % layout.frames)
+    elif layout.profile.header == "fusa":
+        values(packets, "<u4", 4)[:] += np.uint32(count % layout.frames)
+    else:
+        values(packets, "<u2", 2)[:] += np.uint16(count % layout.frames)
+
+
 def write_column_headers(layout: Layout, packets: Bytes, headers: ColumnHeaders) -> None:
     """Write the columns' stamps, numbers and states."""
     column_values(layout, packets, "<u8", 0)[:] = headers.time_ns

@@ -18,6 +18,7 @@ from lidarcfg.packets.codec import Payloads, Source
 from lidarcfg.packets.inertial import GRAVITY_M_S2, measured
 from lidarcfg.packets.ouster.layout import (
     ALERTS,
+    PACKET_COLUMNS,
     PROFILES,
     TICKS,
     Layout,
@@ -53,6 +54,12 @@ FIXED_CONFIG = {  # as in recordings of sensors that nobody has configured
     "sync_pulse_out_polarity": "ACTIVE_HIGH",
     "sync_pulse_out_pulse_width": 10,
 }
+OLD_PIXELS = 64  # of a column, in packets of firmware before 1.14
+OLD_BEAM_ORIGINS_MM = {"OS-0": 27.67, "OS-1": 15.806, "OS-2": 13.762}  # metadata before 2.0 does not say it, but
+OLDEST_BEAM_ORIGIN_MM = 12.163  # ouster-sdk does (sensor_info.cpp), and of the first generation, also its pose
+OLDEST_LIDAR_TO_SENSOR = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 36.18, 0, 0, 0, 1]
+LIDAR_MODE = re.compile(r"(512|1024|2048|4096)x(5|10|20)")
+PRODUCT_LINE = re.compile(r"(OS-[0-9])-([0-9]+)")
 BUILT = "2026-01-01T00:00:00Z"
 IMU_PERIOD_NS = SECOND_NS // 100  # as in all recordings
 CHUNK = 1024  # packets
@@ -92,8 +99,8 @@ class Metadata:
     @property
     def model(self) -> str:
         """The model as the catalogue names it, such as os1-128."""
-        found = re.match(r"OS-([0-9])-([0-9]+)", self.line)
-        return f"os{found[1]}-{found[2]}" if found else self.line.lower() or "ouster"
+        found = PRODUCT_LINE.match(self.line)
+        return f"{found[1]}-{found[2]}".lower().replace("os-", "os") if found else self.line.lower() or "ouster"
 
 
 def read_metadata(name: str, content: bytes) -> Metadata | None:
@@ -105,19 +112,44 @@ def read_metadata(name: str, content: bytes) -> Metadata | None:
     if not isinstance(metadata, dict) or not ({"beam_intrinsics", "beam_altitude_angles"} & metadata.keys()):
         return None
     try:
-        return _read(name, _flat(metadata))
+        return _read(name, _completed(_flat(metadata)))
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
         raise PacketError(f"{name}: not the metadata of an Ouster: {what}") from None
 
 
 def _flat(metadata: dict[str, Any]) -> dict[str, Any]:
-    """The keys of all parts in one flat map, as firmware before 3 writes them."""
-    flat = dict(metadata)
-    for part in ("beam_intrinsics", "lidar_intrinsics", "sensor_info", "config_params"):
-        flat |= metadata.get(part, {})
-    flat["data_format"] = metadata["data_format"] if "data_format" in metadata else metadata["lidar_data_format"]
-    return flat
+    """The keys of all parts in one flat map, as firmware before 3 writes them.
+
+    What a sensor does not know, clients of its HTTP interface write as "error: Command not recognized.".
+    """
+    known = {key: value for key, value in metadata.items() if not str(value).startswith("error: ")}
+    form = _part(known, "data_format" if "data_format" in known else "lidar_data_format")
+    flat = dict(known)
+    for key in ("beam_intrinsics", "lidar_intrinsics", "sensor_info", "config_params"):
+        flat |= _part(known, key)
+    return flat | {"data_format": form}
+
+
+def _part(metadata: dict[str, Any], key: str) -> dict[str, Any]:
+    found = metadata.get(key, {})
+    if not isinstance(found, dict):
+        raise TypeError(f"{key} is {str(found)[:40]!r}, not keys and values")
+    return found
+
+
+def _completed(metadata: dict[str, Any]) -> dict[str, Any]:
+    """With what firmware before 2.0 does not say, or reduced metadata, as ouster-sdk's metadata.cpp takes it to be."""
+    product = PRODUCT_LINE.match(str(metadata.get("prod_line", "")))
+    form = {"columns_per_packet": PACKET_COLUMNS, "pixels_per_column": int(product[2]) if product else OLD_PIXELS}
+    if mode := LIDAR_MODE.fullmatch(str(metadata.get("lidar_mode", ""))):
+        form["columns_per_frame"] = int(mode[1])
+    form |= metadata["data_format"]
+    if "columns_per_frame" not in form:
+        raise ValueError("there is neither a lidar_data_format with columns_per_frame nor a lidar_mode like 1024x10")
+    origin_mm = OLD_BEAM_ORIGINS_MM.get(product[1] if product else "", OLDEST_BEAM_ORIGIN_MM)
+    missing = {"lidar_origin_to_beam_origin_mm": origin_mm, "lidar_to_sensor_transform": OLDEST_LIDAR_TO_SENSOR}
+    return missing | metadata | {"data_format": form}
 
 
 def _read(name: str, metadata: dict[str, Any]) -> Metadata:

@@ -15,9 +15,9 @@ from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
-from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, bytes_of, packets_of
-from lidarcfg.packets.robosense.model import Facts, Unit, unit
-from lidarcfg.sensors.firing import Batch
+from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, bytes_of, series_of
+from lidarcfg.packets.robosense.model import Facts, Settings, Unit, unit
+from lidarcfg.sensors.firing import Batch, ranked
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor
@@ -34,6 +34,7 @@ class Robosense(SequenceTiming, Codec):
 
     point_fields = STAMPED
     facts_model = Facts
+    settings_model = Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
@@ -45,14 +46,19 @@ class Robosense(SequenceTiming, Codec):
         return self.unit.firing_schedule(dual=False).since_first_ns
 
     def check(self, mount: Mount) -> None:
-        if mount.return_mode not in MODES:
+        series = self.unit.series
+        if mount.return_mode not in series.modes:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
-            raise ConfigError(f"{what}; a Helios sends the strongest, the last, the first, or dual")
+            raise ConfigError(f"{what}; packets of {series.name} hold the strongest, the last, the first, or dual")
         if mount.data_port == mount.telemetry_port:
             raise ConfigError(f"telemetry_port is {mount.telemetry_port}, the data_port; DIFOP needs a port of its own")
         if mount.phase_deg is not None and mount.phase_deg % 1:
             raise ConfigError(f"phase_deg is {mount.phase_deg:g}; DIFOP packets say whole degrees")
 
+        imu = self.unit.facts.imu
+        if imu and mount.settings.checked(Settings).imu and imu.port in (mount.data_port, mount.telemetry_port):
+            what = f"port {imu.port} is the inertial measurements'"
+            raise ConfigError(f"{what}; give another data_port and telemetry_port, or robosense: {{imu: false}}")
         telemetry.difop_packets(self.unit, mount, np.zeros(1, np.int64))
 
     def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
@@ -63,23 +69,31 @@ class Robosense(SequenceTiming, Codec):
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, mount.dual, payloads.data)
 
+    def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
+        types = super().return_types(mount, range_m, reflectivity)
+        return ranked(types, self.unit.range.holds_both(range_m), reflectivity) if mount.dual else types
+
     def housekeeping(
         self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
-        """DIFOP packets."""
-        return telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
+        """DIFOP packets; inertial measurements of an Airy."""
+        yield from telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
+        imu = self.unit.facts.imu
+        if imu and mount.settings.checked(Settings).imu:
+            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
 
     def return_modes(self, source: Source, packets: Bytes) -> Times:
         """What DIFOP packets say."""
         found = decode.return_modes(self.unit, source, packets)
         if found is not None:
             return found
-        first = decode.undamaged(packets_of(packets))
-        tables = decode.decode_tables(self.unit, source, first, telemetry.find_difop(source))
-        return np.full(len(packets), MODES[tables.return_mode], np.int64)
+        series = self.unit.series
+        first = decode.undamaged(packets, series)
+        tables = decode.decode_tables(self.unit, source, first, telemetry.find_difop(source, series))
+        return np.full(len(packets), series.modes[tables.return_mode], np.int64)
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        return decode.measurements(self.unit, packets, host_ns, decode.NAMES[mode])
+        return decode.measurements(self.unit, packets, host_ns, self.unit.series.mode_names[mode])
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:
@@ -88,13 +102,16 @@ class Robosense(SequenceTiming, Codec):
 
     @classmethod
     def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
-        first = decode.undamaged(packets_of(packets))
-        return decode.identify(source.where, first, telemetry.find_difop(source), [unit(one) for one in known()]).sensor
+        series = series_of(packets)
+        first = decode.undamaged(packets, series)
+        difop = telemetry.find_difop(source, series)
+        return decode.identify(source.where, first, series, difop, [unit(one) for one in known()]).sensor
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        first = decode.undamaged(packets_of(packets))
-        difop = telemetry.find_difop(source)
-        decode.check_msop(source.where, first)
+        series = self.unit.series
+        first = decode.undamaged(packets, series)
+        difop = telemetry.find_difop(source, series)
+        decode.check_msop(source.where, first, series)
         if trusted:
             decode.check_model(source.where, self.unit, first, difop)
         tables = decode.decode_tables(self.unit, source, first, difop)

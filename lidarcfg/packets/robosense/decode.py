@@ -14,12 +14,12 @@ from lidarcfg.packets import blocks
 from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns, Source
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
-    HELIOS,
-    MODES,
     MSOP_ID,
     RADIANS,
     REVOLUTION,
+    SERIES,
     Packets,
+    Series,
     bytes_of,
     lidar_type,
     packets_of,
@@ -31,10 +31,8 @@ from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets that follow each other
-RESTART = 2**16  # a counter that jumps further was reset
+RESTART = 2**16  # a counter that jumps further was reset; or by half of its range
 SINGLE_KINDS = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single returns, as `Returns` has them
-NAMES = {code: name for name, code in MODES.items()}
-DUAL = MODES["dual"]
 
 
 @dataclass(frozen=True)
@@ -45,6 +43,7 @@ class DecodeTables:
     elevation_rad: Array  # (L,)
     azimuth_offset_rad: Array  # (L,)
     return_mode: str
+    driver_view: bool  # whether lasers fire when the maker's driver has them fire
 
     @property
     def dual(self) -> bool:
@@ -52,7 +51,7 @@ class DecodeTables:
         return self.return_mode == "dual"
 
     @cached_property
-    def core(self) -> core.RobosenseDecoder:
+    def core(self) -> core.RobosenseDecoder | core.AiryDecoder:
         """The core's decoder."""
         unit = self.unit
         sensor = unit.sensor
@@ -69,23 +68,30 @@ class DecodeTables:
             focal=np.empty((0, 4)),
         )
         group_ns = schedule.per_azimuth * schedule.sequence_ns
-        return core.RobosenseDecoder(slots(unit, self.dual), lasers, schedule.period_ns, group_ns, unit.resolution_m)
+        decoder = unit.series.decoder
+        return decoder(
+            slots(unit, self.dual, self.driver_view), lasers, schedule.period_ns, group_ns, unit.resolution_m
+        )
 
 
 def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> DecodeTables:
     """With the DIFOP packet's angles; else the file's, if these packets (P,) are of that very model."""
     mode = difop.return_mode if difop else ""
+    if unit.series.says_dual and (mode == "dual") != is_dual(unit, first):
+        mode = ""
     mode = mode or ("dual" if is_dual(unit, first) else "strongest")
+    unit = unit.installed(difop.install_mode) if difop else unit
     count = unit.count
     sensor = unit.sensor
+    view = source.driver_view
     if difop and difop.lasers >= count:
-        return DecodeTables(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode)
+        return DecodeTables(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode, view)
     missing = "its DIFOP has no angles" if difop else "no DIFOP near its start"
     model = int(first["model"][0])
     if model in unit.facts.packet.other_models:
         raise PacketError(f"{source.where}: {missing}, and those of model 0x{model:02X} are not {sensor.name}'s")
     source.on_warning(f"{source.where}: {missing}; those of {sensor.name}'s file are taken")
-    return DecodeTables(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode)
+    return DecodeTables(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode, view)
 
 
 class RobosenseDecoder(Decoder):
@@ -94,23 +100,24 @@ class RobosenseDecoder(Decoder):
     def __init__(self, source: Source, tables: DecodeTables, full_fov: bool) -> None:
         self._where = source.where
         self._tables = tables
+        self._series = tables.unit.series
         self.period_ns = tables.unit.firing_schedule(tables.dual).period_ns
-        self._counter = PacketLossCounter(self.period_ns, full_fov)
+        self._counter = PacketLossCounter(self.period_ns, full_fov, self._series.counts)
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
-        return read_time_ns(packets_of(packets))
+        return read_time_ns(packets_of(packets, self._series))
 
     def heading_rad(self, packets: Bytes) -> Array:
-        return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
+        return np.asarray(packets_of(packets, self._series)["blocks"]["azimuth"][:, 0] * RADIANS)
 
     def check(self, packets: Bytes) -> None:
-        check_msop(self._where, packets_of(packets))
+        check_msop(self._where, packets_of(packets, self._series), self._series)
 
     def sound(self, packets: Bytes) -> Flags:
-        return sound(packets_of(packets))
+        return sound(packets_of(packets, self._series), self._series)
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        self._counter.add(packets_of(packets), wanted)
+        self._counter.add(packets_of(packets, self._series), wanted)
 
     def statistics(self) -> DecodeStatistics:
         return DecodeStatistics(
@@ -124,7 +131,7 @@ class RobosenseDecoder(Decoder):
 def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> Returns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
     data = np.ascontiguousarray(data)
-    stamp_ns = read_time_ns(packets_of(data))
+    stamp_ns = read_time_ns(packets_of(data, tables.unit.series))
     kind = np.full(len(data), SINGLE_KINDS[tables.return_mode], np.uint8)
     return blocks.decode(tables.core, data, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
 
@@ -132,7 +139,7 @@ def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> Returns:
 def measurements(unit: Unit, data: Bytes, host_ns: Times, return_mode: str) -> Measurements:
     """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
     dual = return_mode == "dual"
-    packets = packets_of(data)
+    packets = packets_of(data, unit.series)
     schedule = unit.firing_schedule(dual)
     azimuth = packets["blocks"]["azimuth"]
     azimuth = azimuth[:, :: azimuth.shape[1] // (schedule.sequences // schedule.per_azimuth)].astype(np.float64)
@@ -143,7 +150,7 @@ def measurements(unit: Unit, data: Bytes, host_ns: Times, return_mode: str) -> M
     at = byte_offsets(unit, dual)
     data = bytes_of(packets)
     high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
-    distance = high.astype(np.int64) << 8 | low
+    distance = (high.astype(np.int64) << 8 | low) & unit.series.distance_max
     range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
     batch = Batch(Firings(time_ns.ravel(), laser.ravel(), head.ravel()), packets["count"].astype(np.int64), host_ns)
     return Measurements(return_mode, batch, range_m, intensity)
@@ -155,18 +162,20 @@ def return_modes(unit: Unit, source: Source, data: Bytes) -> Times | None:
     A mode holds from the DIFOP packet that says it. Where there are dual and single returns, each packet's own layout
     says which they are, as a mode changes before a DIFOP says so.
     """
-    packets = packets_of(data)
-    difops = all_difops(source)
-    difops = difops[np.isin(difops["return_mode"], list(NAMES))]
+    series = unit.series
+    dual = series.modes["dual"]
+    packets = packets_of(data, series)
+    difops = all_difops(source, series)
+    difops = difops[np.isin(difops["return_mode"], list(series.mode_names))]
     if not len(difops):
         return None
     at = read_time_ns(packets)
     difop_ns = read_time_ns(difops)
     codes = difops["return_mode"].astype(np.int64)
-    if not ((codes == DUAL).any() and (codes != DUAL).any()):
+    if not ((codes == dual).any() and (codes != dual).any()):
         return _latest(at, difop_ns, codes)
-    single = codes != DUAL
-    return np.where(_dual(unit, packets), DUAL, _latest(at, difop_ns[single], codes[single]))
+    single = codes != dual
+    return np.where(_dual(unit, packets), dual, _latest(at, difop_ns[single], codes[single]))
 
 
 def _latest(at: Times, difop_ns: Times, codes: Times) -> Times:
@@ -177,7 +186,9 @@ def _latest(at: Times, difop_ns: Times, codes: Times) -> Times:
 
 
 def _dual(unit: Unit, packets: Packets) -> Flags:
-    """(P,) whether each holds dual returns: blocks of one azimuth in pairs, or of 16 lasers that fired once."""
+    """(P,) whether each holds dual returns: as it says, blocks of one azimuth in pairs, 16 lasers that fired once."""
+    if unit.series.says_dual:
+        return np.asarray(packets["kind"] == unit.series.kinds[True])
     azimuth = packets["blocks"]["azimuth"].astype(np.int64)
     if unit.count == 32:
         return np.asarray((azimuth[:, ::2] == azimuth[:, 1::2]).mean(axis=1) > 0.5)
@@ -196,8 +207,10 @@ class PacketLossCounter:
     unless the sensor fires all around.
     """
 
-    def __init__(self, period_ns: int, full_fov: bool) -> None:
+    def __init__(self, period_ns: int, full_fov: bool, counts: int) -> None:
         self._period_ns = period_ns
+        self._counts_to = counts
+        self._restart = min(RESTART, counts // 2)
         self._full_fov = full_fov
         self._counted = 0
         self._by_stamps = 0
@@ -208,11 +221,11 @@ class PacketLossCounter:
     def add(self, packets: Packets, wanted: Flags) -> None:
         """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
         counter: Times = packets["count"].astype(np.int64)
-        step = np.diff(counter) % 2**32
+        step = np.diff(counter) % self._counts_to
         gap_ns = np.diff(read_time_ns(packets))
         mine = wanted[1:]
         self._counts |= bool(step.any())
-        self._counted += int((step[mine & (step > 1) & (step < RESTART)] - 1).sum())
+        self._counted += int((step[mine & (step > 1) & (step < self._restart)] - 1).sum())
         periods = np.rint(gap_ns[mine & (gap_ns > 0) & (gap_ns < SECOND_NS)] / self._period_ns).astype(np.int64)
         self._by_stamps += int(np.maximum(periods - 1, 0).sum())
         follows = mine & (abs(gap_ns - self._period_ns) <= PERIOD_TOLERANCE * self._period_ns)
@@ -231,21 +244,23 @@ class PacketLossCounter:
         return self._turned / REVOLUTION / (self._passed_ns / MINUTE_NS) if self._passed_ns else math.nan
 
 
-def sound(packets: Packets) -> Flags:
-    """(P,) whether each is an MSOP packet of a Helios, and of the model that most packets name."""
+def sound(packets: Packets, series: Series) -> Flags:
+    """(P,) whether each is an MSOP packet of the series, and of the model that most packets name."""
     models, counts = np.unique(packets["model"], return_counts=True)
-    right = (packets["id"] == MSOP_ID) & (lidar_type(packets) == HELIOS) & (packets["model"] == models[counts.argmax()])
+    right = (packets["id"] == MSOP_ID) & (lidar_type(packets) == series.lidar_type)
+    right &= packets["model"] == models[counts.argmax()]
     return np.asarray(right & (packets["blocks"]["id"] == BLOCK_ID).all(axis=1))
 
 
-def undamaged(packets: Packets) -> Packets:
-    """The sound packets, if most are; else all."""
-    which = sound(packets)
+def undamaged(data: Bytes, series: Series) -> Packets:
+    """The sound ones of MSOP packets (P, 1248), if most are; else all."""
+    packets = packets_of(data, series)
+    which = sound(packets, series)
     return packets[which] if 2 * which.sum() > len(packets) else packets
 
 
-def check_msop(where: str, packets: Packets) -> None:
-    """Raises PacketError unless all of these packets (P,) are MSOP packets of one Helios."""
+def check_msop(where: str, packets: Packets, series: Series) -> None:
+    """Raises PacketError unless all of these packets (P,) are MSOP packets of one LiDAR of the series."""
     wrong = packets["id"] != MSOP_ID
     if wrong.any():
         raise PacketError(f"{where} sends packets that begin with {packets['id'][wrong][0].hex()}, not {MSOP_ID.hex()}")
@@ -253,19 +268,25 @@ def check_msop(where: str, packets: Packets) -> None:
         if (values != values[0]).any():
             other = values[values != values[0]][0]
             raise PacketError(f"{where} sends {what} 0x{values[0]:02X} and 0x{other:02X}: two sensors on one port")
-    if lidar_type(packets)[0] != HELIOS:
-        raise PacketError(f"{where} sends the LiDAR type 0x{lidar_type(packets)[0]:02X}; known: 0x{HELIOS:02X} Helios")
+    found = int(lidar_type(packets)[0])
+    if found not in SERIES:
+        known = ", ".join(f"0x{one.lidar_type:02X} {one.name}" for one in SERIES.values())
+        raise PacketError(f"{where} sends the LiDAR type 0x{found:02X}; known: {known}")
+    if found != series.lidar_type:
+        what = f"0x{found:02X}, {SERIES[found].name}"
+        raise PacketError(f"{where} sends the LiDAR type {what}, not 0x{series.lidar_type:02X}, {series.name}")
     ids = packets["blocks"]["id"]
     if (ids != BLOCK_ID).any():
         raise PacketError(f"{where} sends the block flag 0x{ids[ids != BLOCK_ID][0]:04X}; allowed: 0x{BLOCK_ID:04X}")
 
 
-def identify(where: str, packets: Packets, difop: Difop | None, known: Sequence[Unit]) -> Unit:
-    """Which of the known sensors sends these successive packets (P,). Raises PacketError.
+def identify(where: str, packets: Packets, series: Series, difop: Difop | None, known: Sequence[Unit]) -> Unit:
+    """Which of the known sensors sends these successive packets (P,) of a series. Raises PacketError.
 
     Early firmware does not say its model: the DIFOP packet's angles are then as many as the lasers.
     """
-    check_msop(where, packets)
+    check_msop(where, packets, series)
+    known = [unit for unit in known if unit.series is series]
     model = int(packets["model"][0])
     if model:
         named = [unit for unit in known if model in (unit.facts.packet.model, *unit.facts.packet.other_models)]
@@ -274,7 +295,7 @@ def identify(where: str, packets: Packets, difop: Difop | None, known: Sequence[
             raise PacketError(f"{where} sends the unknown model 0x{model:02X}; known: {has}; or give --model")
         return named[0]
     fits = [unit for unit in known if difop and unit.count == difop.lasers]
-    fits = fits or [unit for unit in known if _fits(unit, packets)]
+    fits = fits or [unit for unit in known if len(known) == 1 or _fits(unit, packets)]
     if len(fits) == 1:
         return fits[0]
     names = " or ".join(unit.name for unit in fits or known)
@@ -298,7 +319,9 @@ def check_model(where: str, unit: Unit, packets: Packets, difop: Difop | None) -
 
 
 def is_dual(unit: Unit, packets: Packets) -> bool:
-    """Whether these successive packets (P,) hold dual returns: pairs of blocks, or packets that come twice as often."""
+    """Whether these successive packets (P,) hold dual returns: as they say, or by pairs of blocks or their period."""
+    if unit.series.says_dual:
+        return bool((packets["kind"] == unit.series.kinds[True]).mean() > 0.5)
     azimuth = packets["blocks"]["azimuth"].astype(np.int64)
     paired = bool((azimuth[:, ::2] == azimuth[:, 1::2]).mean() > 0.5)
     if unit.count == 32:

@@ -2,18 +2,13 @@
 
 import numpy as np
 
-from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array, Bytes, Flags
 from lidarcfg.packets.blocks import by_packet
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
-    DISTANCE_MAX,
-    HELIOS,
-    MSOP,
     MSOP_ID,
     MSOP_TAIL,
     RADIANS,
-    RESOLUTION,
     REVOLUTION,
     Packets,
     bytes_of,
@@ -26,25 +21,26 @@ from lidarcfg.sensors.firing import Batch
 def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`."""
     schedule = unit.firing_schedule(dual)
+    series = unit.series
     fired = batch.firings
     stamped_ns, _ = schedule.stamps_ns(fired)
-    packets: Packets = np.zeros(len(stamped_ns), MSOP)
+    packets: Packets = np.zeros(len(stamped_ns), series.msop)
     packets["id"] = MSOP_ID
     packets["version"] = 1
     packets["tail"] = MSOP_TAIL
-    packets["count"] = batch.number % 2**32
-    packets["resolution"] = RESOLUTION
-    packets["type"] = HELIOS
+    packets["count"] = batch.number % series.counts
+    packets["kind"] = series.kinds[dual]
+    packets["type"] = series.lidar_type
     packets["model"] = unit.facts.packet.model
     write_time(packets, stamped_ns)
     blocks = packets["blocks"]
     blocks["id"] = BLOCK_ID
     azimuth = np.rint(schedule.head_rad(fired) / RADIANS).astype(np.int64) % REVOLUTION
     blocks["azimuth"] = np.repeat(azimuth, blocks.shape[1] // azimuth.shape[1], axis=1)
-    limits = *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)
+    limits = *unit.range.reported_m, unit.resolution_m, float(series.distance_max)
     measured = by_packet(range_m, len(packets), np.float64), by_packet(reflectivity, len(packets), np.uint8)
     number = np.argsort(slot_numbers(unit, dual))
-    core.write_robosense_returns(*measured, number, np.zeros(len(number)), limits, bytes_of(packets))
+    series.write_returns(*measured, number, np.zeros(len(number)), limits, bytes_of(packets))
     return packets
 
 

@@ -1,7 +1,7 @@
 """The key `robosense` of a sensor's file: the facts of its packets, when its lasers fire, where returns stand."""
 
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -9,16 +9,25 @@ from pydantic import Field
 from lidarcfg.config.models import Model
 from lidarcfg.geometry import Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.facts import Firing, Header, Network, SensorInstance, check_firing
-from lidarcfg.packets.robosense.layout import BLOCK, BLOCKS, MSOP, RETURN, SLOTS
+from lidarcfg.packets.facts import Firing, Header, Nanoseconds, Network, SensorInstance, check_firing
+from lidarcfg.packets.robosense.layout import HELIOS, RETURN, SERIES, Series
 from lidarcfg.sensors.schedule import FiringSchedule
-from lidarcfg.sensors.sensor import Byte, Sensor
+from lidarcfg.sensors.sensor import Byte, Port, Sensor
+
+
+class Driver(Model):
+    """When the maker's driver has lasers fire, where that differs: what `decode --driver-view` takes."""
+
+    source: str = ""
+    offset_ns: tuple[Nanoseconds, ...]  # after the block's azimuth, by the place of a return in it
+    sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # as that of `Firing`
 
 
 class Packet(Model):
     """The facts of the MSOP packet."""
 
     source: str = ""
+    type: Byte = HELIOS.lidar_type  # what it says of the series
     model: Byte  # what it says of the model
     other_models: tuple[Byte, ...] = ()  # with other angles, which their DIFOP packets say
 
@@ -28,6 +37,25 @@ class Difop(Model):
 
     source: str = ""
     versions: Annotated[str, Field(pattern="^([0-9a-f]{2}){20}$")]  # of the firmware, as hexadecimal digits
+    install_mode: Byte = 0  # of an Airy: the one in which its lasers fire as `firing` says
+
+
+class Installed(Model):
+    """When an Airy's lasers fire in another install mode."""
+
+    source: str = ""
+    mode: Byte  # as DIFOP packets say it
+    offset_ns: tuple[Nanoseconds, ...]  # as that of `Firing`
+
+
+class Imu(Model):
+    """The facts of an Airy's inertial measurements."""
+
+    source: str = ""
+    port: Port  # that they are sent to
+    rate_hz: Literal[25, 50, 100, 200, 1000]
+    acceleration_g: Literal[2, 4, 8, 16]  # at the end of the range
+    rate_deg_s: Literal[250, 500, 1000, 2000]
 
 
 class Headers(Network):
@@ -41,21 +69,51 @@ class Facts(Model):
     """The key `robosense` of a sensor's file."""
 
     firing: Firing
+    installed: tuple[Installed, ...] = ()
+    driver: Driver | None = None
     packet: Packet
     difop: Difop
+    imu: Imu | None = None
     headers: Headers
 
 
+class Settings(Model):
+    """The key `robosense` of a mount in a rig's file."""
+
+    imu: bool = True  # whether an Airy sends inertial measurements
+
+
 class Unit(SensorInstance[Facts]):
-    """A sensor of 16 or 32 lasers with the facts of its packets."""
+    """A sensor of 16, 32 or 96 lasers with the facts of its packets."""
+
+    @property
+    def series(self) -> Series:
+        """The series, whose layout its packets have."""
+        return SERIES[self.facts.packet.type]
+
+    @property
+    def blocks(self) -> int:
+        """The number of blocks that hold a return of each laser."""
+        return max(self.count // self.series.slots, 1)
 
     def firing_schedule(self, dual: bool) -> FiringSchedule:
-        """Its firing pattern. A block holds all returns of 32 lasers once, of 16 lasers twice or dual."""
+        """Its firing pattern.
+
+        A block holds all returns of 32 lasers once, of 16 lasers twice or dual; two hold those of an Airy's 96.
+        """
         firing = self.facts.firing
-        per_block = SLOTS // self.count
-        sequences = BLOCKS * per_block // (1 + dual)
-        per_azimuth = 1 if dual else per_block
+        series = self.series
+        sequences = series.blocks * series.slots // self.count // (1 + dual)
+        per_azimuth = 1 if dual else max(series.slots // self.count, 1)
         return FiringSchedule(np.array(firing.offset_ns, np.int64), firing.sequence_ns, sequences, per_azimuth)
+
+    def installed(self, mode: int) -> "Unit":
+        """The sensor in an install mode that its DIFOP packets say."""
+        for one in self.facts.installed:
+            if one.mode == mode:
+                firing = self.facts.firing.model_copy(update={"offset_ns": one.offset_ns})
+                return Unit(self.sensor, self.facts.model_copy(update={"firing": firing}))
+        return self
 
 
 @lru_cache(64)
@@ -63,9 +121,22 @@ def unit(sensor: Sensor) -> Unit:
     """The sensor with the key `robosense` of its file. Raises ConfigError with file, line and key."""
     section = sensor.section
     facts = section.checked(Facts)
-    if sensor.count not in (16, 32):
-        raise section.error((), f"packets hold 16 or 32 lasers; {sensor.name} has {sensor.count}")
+    if facts.packet.type not in SERIES:
+        has = ", ".join(f"{one.lidar_type} {one.name}" for one in SERIES.values())
+        raise section.error(("packet", "type"), f"{facts.packet.type} is not known; allowed: {has}")
+    series = SERIES[facts.packet.type]
+    if sensor.count not in series.lasers:
+        allowed = " or ".join(str(count) for count in series.lasers)
+        raise section.error((), f"packets hold {allowed} lasers; {sensor.name} has {sensor.count}")
     check_firing(section, facts.firing, sensor)
+    for k, one in enumerate(facts.installed):
+        if len(one.offset_ns) != sensor.count or max(one.offset_ns) - min(one.offset_ns) >= facts.firing.sequence_ns:
+            what = f"must be {sensor.count} values, one a beam, within the sequence's {facts.firing.sequence_ns} ns"
+            raise section.error(("installed", k, "offset_ns"), what)
+    together = max(series.slots, sensor.count)
+    if facts.driver and len(facts.driver.offset_ns) != together:
+        what = f"has {len(facts.driver.offset_ns)} values; allowed: {together}, one for each return of an azimuth"
+        raise section.error(("driver", "offset_ns"), what)
     return Unit(sensor, facts)
 
 
@@ -73,7 +144,8 @@ def unit(sensor: Sensor) -> Unit:
 def slot_numbers(unit: Unit, dual: bool) -> Times:
     """(N,) the slot, numbered block by block, of each of a packet's (S, L) returns, or (S, L, 2) dual returns.
 
-    With dual returns, both of 16 lasers stand in one block, one half each; of 32 lasers in two successive blocks.
+    With dual returns, both of 16 lasers stand in one block, one half each; of 32 lasers in two successive blocks; of 96
+    in two successive pairs of blocks.
     """
     sequences = unit.firing_schedule(dual).sequences
     each = unit.count
@@ -87,25 +159,31 @@ def slot_numbers(unit: Unit, dual: bool) -> Times:
 @lru_cache
 def byte_offsets(unit: Unit, dual: bool) -> Times:
     """(N,) the byte at which each of a packet's returns begins."""
-    fields = MSOP.fields
+    fields = unit.series.msop.fields
     assert fields
-    first = fields["blocks"][1]
-    block, slot = np.divmod(slot_numbers(unit, dual), SLOTS)
-    return np.asarray(first + block * BLOCK.itemsize + 4 + slot * RETURN.itemsize)
+    blocks, first = fields["blocks"][:2]
+    block, slot = np.divmod(slot_numbers(unit, dual), unit.series.slots)
+    return np.asarray(first + block * blocks.base.itemsize + 4 + slot * RETURN.itemsize)
 
 
 @lru_cache
-def slots(unit: Unit, dual: bool) -> blocks.Slots:
-    """The core's table of a packet's slots."""
+def slots(unit: Unit, dual: bool, driver_view: bool) -> blocks.Slots:
+    """The core's table of a packet's slots; with `driver_view`, of when the maker's driver has lasers fire."""
     schedule = unit.firing_schedule(dual)
     groups = schedule.sequences // schedule.per_azimuth
     each = 1 + dual
     at = slot_numbers(unit, dual).reshape(groups, -1)[0]
     order = np.argsort(at)
     sequence, laser = np.divmod(order // each, unit.count)
-    offset_ns = sequence * schedule.sequence_ns + schedule.offset_ns[laser]
-    group_ns = schedule.per_azimuth * schedule.sequence_ns
-    fraction = (offset_ns - schedule.offset_ns.min()) / group_ns
+    driver = unit.facts.driver if driver_view else None
+    if driver:
+        offset_ns = np.array(driver.offset_ns, np.int64)[sequence * unit.count + laser]
+        group_ns = schedule.per_azimuth * driver.sequence_ns
+        fraction = offset_ns / group_ns
+    else:
+        offset_ns = sequence * schedule.sequence_ns + schedule.offset_ns[laser]
+        group_ns = schedule.per_azimuth * schedule.sequence_ns
+        fraction = (offset_ns - schedule.offset_ns.min()) / group_ns
     return blocks.Slots(
         laser=laser,
         fraction=np.tile(fraction, (groups, 1)),

@@ -2,32 +2,42 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Payloads, Source
+from lidarcfg.packets.inertial import measured
 from lidarcfg.packets.robosense.layout import (
+    AIRY,
     ANGLE,
-    DIFOP,
     DIFOP_ID,
     DIFOP_TAIL,
-    MODES,
+    IMU,
+    IMU_FULL,
+    IMU_HZ,
+    IMU_ID,
+    IMU_TAIL,
     PTP,
-    PTP_LOCKED,
     SIZE,
     Packets,
+    Series,
     bytes_of,
     write_time,
 )
-from lidarcfg.packets.robosense.model import Unit
+from lidarcfg.packets.robosense.model import Imu, Unit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
+
+if TYPE_CHECKING:
+    from lidarcfg.world.motion import Trajectory
 
 SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns
 ANGLE_MAX = 9000  # hundredths of a degree
 UNUSED = 0xFF
+CHUNK = 4096  # inertial measurements at a time
 
 
 @dataclass(frozen=True)
@@ -38,6 +48,7 @@ class Difop:
     azimuth_offset_rad: Array  # (L,)
     return_mode: str  # empty: none that is known
     full_fov: bool  # whether the sensor fires all around
+    install_mode: int  # of an Airy, by which its lasers fire
 
     @property
     def lasers(self) -> int:
@@ -57,7 +68,8 @@ def difop_payloads(unit: Unit, mount: Mount, start_ns: int, duration_ns: int) ->
 def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
     """The DIFOP packets (n,) of these times (n,). Raises ConfigError for angles that they cannot hold."""
     data = np.full((len(times_ns), SIZE), UNUSED, np.uint8)
-    packets: Packets = data.view(DIFOP)[:, 0]
+    series = unit.series
+    packets: Packets = data.view(series.difop)[:, 0]
     headers = unit.facts.headers
     host = [int(part) for part in mount.host.split(".")]
     packets["id"] = DIFOP_ID
@@ -74,16 +86,53 @@ def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
     packets["phase"] = round(mount.phase_deg or 0) % 360
     packets["versions"] = list(bytes.fromhex(unit.facts.difop.versions))
     packets["zero"] = 0
-    packets["return_mode"] = MODES[mount.return_mode]
+    packets["return_mode"] = series.modes[mount.return_mode]
     packets["sync"] = PTP
-    packets["sync_state"] = PTP_LOCKED
+    packets["sync_state"] = series.clock_locked
     write_time(packets, times_ns)
-    packets["gprmc"] = 0
+    if series is AIRY:
+        packets["install_mode"] = unit.facts.difop.install_mode
+        packets["real_rpm"] = packets["rpm"]
+        packets["imu_rotation"] = 0, 0, 0, 1
+        packets["imu_place"] = 0
+        packets["mounting"] = 0  # rs_driver turns points by it, if it is built so
+    else:
+        packets["gprmc"] = 0
     beams = unit.sensor.beams
     packets["vertical"][:, : unit.count] = angles(unit, "elevation_deg", beams.elevation_deg)
     offset_deg = beams.azimuth_offset_deg or (0.0,) * unit.count
     packets["horizontal"][:, : unit.count] = angles(unit, "azimuth_offset_deg", offset_deg)
     return packets
+
+
+def imu_payloads(
+    unit: Unit, imu: Imu, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
+) -> Iterator[Payloads]:
+    """A packet a measurement, counted from 1: accelerations, gravity included, and rates in the sensor's frame."""
+    period_ns = SECOND_NS // imu.rate_hz
+    total = -(-duration_ns // period_ns)
+    headers = unit.facts.headers
+    for first in range(0, total, CHUNK):
+        number = np.arange(first, min(first + CHUNK, total))
+        time_ns = start_ns + number * period_ns
+        packets: Packets = np.zeros(len(number), IMU)
+        packets["id"] = IMU_ID
+        packets["tail"] = IMU_TAIL
+        write_time(packets, time_ns)
+        acceleration_g, rate_deg_s = measured(mount, trajectory, np.zeros(3), time_ns)
+        packets["acceleration"] = _counts(acceleration_g, imu.acceleration_g)
+        packets["rate"] = _counts(rate_deg_s, imu.rate_deg_s)
+        packets["frequency"] = IMU_HZ.index(imu.rate_hz)
+        packets["acceleration_range"] = imu.acceleration_g.bit_length() - 2  # 0: 2 g, and so on twice as much
+        packets["rate_range"] = (imu.rate_deg_s // 125).bit_length() - 2
+        packets["count"] = number + 1
+        sent_ns = (time_ns + 500) // 1000 * 1000
+        data = packets.view(np.uint8).reshape(len(packets), IMU.itemsize)
+        yield Payloads(sent_ns, data, imu.port, headers, headers.difop, first)
+
+
+def _counts(values: Array, full: int) -> Array:
+    return np.clip(np.rint(values / full * IMU_FULL), -IMU_FULL, IMU_FULL - 1)
 
 
 def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
@@ -98,50 +147,51 @@ def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
     return out
 
 
-def find_difop(source: Source) -> Difop | None:
+def find_difop(source: Source, series: Series) -> Difop | None:
     """The DIFOP packet of a source near the capture's start; of several LiDARs behind a host, by the port."""
     others: list[Packets] = []
     seen = 0
     for data in source.payloads(None, SIZE):
         rows = data[: SEARCHED - seen]
         seen += len(rows)
-        found = np.ascontiguousarray(rows[(rows[:, :8] == list(DIFOP_ID)).all(axis=1)]).view(DIFOP)[:, 0]
+        found = np.ascontiguousarray(rows[(rows[:, :8] == list(DIFOP_ID)).all(axis=1)]).view(series.difop)[:, 0]
         mine = found[found["msop_port"][:, 0] == source.port]
         if len(mine):
-            return _read(mine[:1])
+            return _read(mine[:1], series)
         others.append(found)
         if seen == SEARCHED:
             break
-    together = np.concatenate(others) if others else np.empty(0, DIFOP)
+    together = np.concatenate(others) if others else np.empty(0, series.difop)
     alone = len(np.unique(together["serial"], axis=0)) == 1
-    return _read(together[:1]) if alone else None
+    return _read(together[:1], series) if alone else None
 
 
-def all_difops(source: Source) -> Packets:
-    """All DIFOP packets of a source in a capture, in their order."""
+def all_difops(source: Source, series: Series) -> Packets:
+    """All DIFOP packets of a source of a series in a capture, in their order."""
     found = [data[(data[:, :8] == list(DIFOP_ID)).all(axis=1)] for data in source.payloads(None, SIZE)]
-    difops: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
+    difops: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(series.difop)[:, 0]
     mine: Packets = difops[difops["msop_port"][:, 0] == source.port]
     if len(mine):
         return mine
     return difops if len(np.unique(difops["serial"], axis=0)) == 1 else difops[:0]
 
 
-def _read(packet: Packets) -> Difop:
+def _read(packet: Packets, series: Series) -> Difop:
     """What one (1,) says."""
     vertical = packet["vertical"][0]
     horizontal = packet["horizontal"][0]
     good = (vertical["sign"] <= 1) & (vertical["hundredths"] <= ANGLE_MAX)
     good &= (horizontal["sign"] <= 1) & (horizontal["hundredths"] <= ANGLE_MAX)
     count = int(np.argmin(np.append(good, False)))
-    if not vertical["hundredths"][16:count].any():  # zeros where there is no laser
-        count = min(count, 16)
+    for fewer in series.lasers:
+        if not vertical["hundredths"][fewer:count].any():  # zeros where there is no laser
+            count = min(count, fewer)
     if not vertical["hundredths"][:count].any():  # not calibrated
         count = 0
-    modes = {code: name for name, code in MODES.items()}
     low, high = packet["fov"][0].tolist()
     elevation, offset = (_radians(column[:count]) for column in (vertical, horizontal))
-    return Difop(elevation, offset, modes.get(int(packet["return_mode"][0]), ""), high - low >= 36000)
+    mode = series.mode_names.get(int(packet["return_mode"][0]), "")
+    return Difop(elevation, offset, mode, high - low >= 36000, int(packet["install_mode"][0]))
 
 
 def _radians(column: Packets) -> Array:

@@ -124,7 +124,7 @@ def test_metadata_of_another_sensor(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('"columns_per_frame"', '"columns"', "'columns_per_frame' is missing"),
+        ('"columns_per_frame": 512', '"columns_per_frame": "512"', "columns_per_frame is '512'; allowed"),
         ("45.16,", "", "128 pixels a column, 127 altitude"),
         ("45.16,", "NaN,", "beam_altitude_angles is no list of angles"),
         ('"RNG15_RFL8_NIR8"', '"RNG15"', "profile 'RNG15' cannot be read"),

@@ -1,0 +1,108 @@
+"""The key `livox` of a sensor's file and of a mount: the facts of its packets, and when its lasers fire."""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from lidarcfg.config.models import Model
+from lidarcfg.packets.facts import Header, Network, SensorInstance
+from lidarcfg.packets.livox.layout import DataType
+from lidarcfg.sensors.firing import Batch, Pace
+from lidarcfg.sensors.pattern_timing import firings
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.sensor import Byte, Sensor
+
+DATA_TYPES = {
+    "cartesian_mm": DataType.CARTESIAN_MM,
+    "cartesian_cm": DataType.CARTESIAN_CM,
+    "spherical": DataType.SPHERICAL,
+}
+
+
+class Packet(Model):
+    """The facts of packets with points."""
+
+    source: str = ""
+    points: Annotated[int, Field(ge=2, le=1000)]
+    tag: Byte  # of a return that nothing is said against
+
+
+class Inertial(Model):
+    """The facts of the inertial sensor."""
+
+    source: str = ""
+    rate_hz: Annotated[int, Field(ge=1, le=10_000)]
+    position_mm: tuple[float, float, float]  # in the sensor frame
+
+
+class Device(Model):
+    """What the sensor says of itself when a driver asks."""
+
+    source: str = ""
+    type: Byte
+    firmware: tuple[Byte, Byte, Byte, Byte]
+
+
+class Headers(Network):
+    """The network headers of the sensor's datagrams."""
+
+    data: Header
+    imu: Header
+
+
+class Facts(Model):
+    """The key `livox` of a sensor's file."""
+
+    packet: Packet
+    imu: Inertial | None = None  # none: it has no inertial sensor
+    device: Device
+    headers: Headers
+
+
+class Settings(Model):
+    """The key `livox` of a mount in a rig's file."""
+
+    data_type: Literal["cartesian_mm", "cartesian_cm", "spherical"] = "cartesian_mm"
+    imu: bool = True
+
+
+class Unit(SensorInstance[Facts]):
+    """A sensor with the facts of its packets."""
+
+    @property
+    def pace(self) -> Pace:
+        """Packets follow each other without gaps."""
+        points = self.facts.packet.points
+        return Pace(round(self.firing_ns * points), points)
+
+    @property
+    def firing_ns(self) -> float:
+        """From one firing to the next, on average."""
+        pattern = self.sensor.pattern
+        return pattern.period_ns / len(pattern.time_ns)
+
+
+@lru_cache(64)
+def unit(sensor: Sensor) -> Unit:
+    """The sensor with the key `livox` of its file. Raises ConfigError with file, line and key."""
+    return Unit(sensor, sensor.section.checked(Facts))
+
+
+def settings(mount: Mount) -> Settings:
+    """The key `livox` of a mount. Raises ConfigError with file, line and key."""
+    return mount.settings.checked(Settings)
+
+
+def batches(unit: Unit, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+    """The firings of this many packets, `chunk` packets at a time. Each packet leaves when the next one begins."""
+    pattern = unit.sensor.pattern
+    points = unit.facts.packet.points
+    for first in range(0, packets, chunk):
+        end = min(first + chunk, packets)
+        ends_ns, _ = pattern.walk(first * points + points, end * points + 1)
+        sent_ns = start_ns + ends_ns[::points]
+        fired = firings(pattern, start_ns, first * points, end * points)
+        yield Batch(fired, np.arange(first, end), (sent_ns + 500) // 1000 * 1000)

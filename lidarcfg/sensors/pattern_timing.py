@@ -1,0 +1,53 @@
+"""When the channels of a sensor with a scan pattern fire."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from lidarcfg.geometry import Array, Flags
+from lidarcfg.sensors.firing import Batch, Firings, FramePattern, Pace, Timing
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.scan_pattern import ScanPattern
+
+
+class PatternTiming(Timing):
+    """The timing of a sensor with a scan pattern and without packets: each firing counts as one."""
+
+    def check(self, mount: Mount) -> None:
+        """Each mount can be simulated."""
+
+    def pace(self, mount: Mount) -> Pace:
+        """By the pattern's mean rate."""
+        pattern = mount.sensor.pattern
+        return Pace(max(pattern.period_ns // len(pattern.time_ns), 1), 1)
+
+    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+        """The firings of equal times; the pattern begins at `start_ns`."""
+        pattern = mount.sensor.pattern
+        period_ns = self.pace(mount).period_ns
+        for first in range(0, packets, chunk):
+            end = min(first + chunk, packets)
+            number = np.arange(first, end)
+            counts = (pattern.count_before(first * period_ns), pattern.count_before(end * period_ns))
+            fired = firings(pattern, start_ns, *counts)
+            yield Batch(fired[in_view(mount, fired.encoder_rad)], number, start_ns + (number + 1) * period_ns)
+
+    def pattern(self, mount: Mount) -> FramePattern:
+        return FramePattern(mount.sensor.pattern)
+
+
+def firings(pattern: ScanPattern, start_ns: int, first: int, end: int) -> Firings:
+    """The firings from number `first` to `end` of a pattern that begins at `start_ns`."""
+    time_ns, rows = pattern.walk(first, end)
+    return Firings(
+        time_ns=start_ns + time_ns,
+        laser=pattern.channel[rows],
+        encoder_rad=pattern.azimuth_rad[rows],
+        elevation_rad=pattern.elevation_rad[rows],
+    )
+
+
+def in_view(mount: Mount, azimuth_rad: Array) -> Flags:
+    """(N,) which azimuths are in the mount's horizontal field of view."""
+    low, high = mount.azimuth_fov_deg or (0.0, 360.0)
+    return np.asarray((np.degrees(azimuth_rad) - low) % 360 <= ((high - low) % 360 or 360.0))
