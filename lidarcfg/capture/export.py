@@ -164,7 +164,8 @@ def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> It
         if on_truth:
             types = maker.return_types(mount, range_m, found.reflectivity)
             sent = maker.sent(mount, batch, payloads)
-            truth = records(task.index, types, batch.firings, found, sent)
+            fired_ns = maker.fired_ns(mount, batch, range_m)
+            truth = records(task.index, types, batch.firings, fired_ns, found, sent)
         return _Chunk(frames(mount.host, payloads), truth)
 
     for chunk in map_chunks(task, runner, make):

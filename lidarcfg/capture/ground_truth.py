@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.files import check_replaceable, make_parent, replacing
-from lidarcfg.geometry import Bytes, Flags
+from lidarcfg.geometry import Bytes, Flags, Times
 from lidarcfg.sensors.firing import Firings
 from lidarcfg.simulate.echoes import Echoes
 
@@ -31,12 +31,14 @@ RECORD = np.dtype(
 RECORDS = 1 << 16  # at a time
 
 
-def records(sensor_index: int, types: Bytes, fired: Firings, found: Echoes, sent: Flags) -> NDArray[np.void]:
-    """The records of N firings: echoes, their types, and which of them were sent, are (N, R)."""
+def records(
+    sensor_index: int, types: Bytes, fired: Firings, fired_ns: Times, found: Echoes, sent: Flags
+) -> NDArray[np.void]:
+    """The records of N firings: echoes, their types, when they were fired, and which of them were sent, are (N, R)."""
     firing, which = np.nonzero(sent)
     out = np.empty(len(firing), RECORD)
     out["sensor"] = sensor_index
-    out["time_ns"] = fired.time_ns[firing]
+    out["time_ns"] = fired_ns[firing, which]
     out["laser"] = fired.laser[firing]
     out["return_type"] = types[firing, which]
     for key in ("object", "range_m", "noise_m"):

@@ -95,11 +95,9 @@ class HesaiLasers(Protocol):
     @property
     def offset_ns(self) -> Times: ...
     @property
+    def near_ns(self) -> Times: ...
+    @property
     def lag_ns(self) -> Times: ...
-    @property
-    def group_ns(self) -> Times: ...
-    @property
-    def pair_ns(self) -> Times: ...
 
 class PacketFields(Protocol):
     """What Hesai packets say beside their blocks."""
@@ -107,11 +105,11 @@ class PacketFields(Protocol):
     @property
     def unit_mm(self) -> Bytes: ...
     @property
-    def stamp_ns(self) -> Times: ...
-    @property
-    def dual(self) -> Flags: ...
+    def start_ns(self) -> Times: ...
     @property
     def loop(self) -> Bytes: ...
+    @property
+    def dual(self) -> Flags: ...
     @property
     def near(self) -> Bytes: ...
     @property
@@ -155,8 +153,8 @@ class AiryDecoder:
 class HesaiDecoder:
     """Decodes packets (P, size) of one sensor."""
 
-    def __init__(self, lasers: HesaiLasers) -> None:
-        """Copies the tables."""
+    def __init__(self, lasers: HesaiLasers, blocks: int, return_bytes: int, near_m: float, least: int) -> None:
+        """Copies the tables. Distances of less than `least` units are no returns, those below `near_m` have near_ns."""
 
     def count(self, packets: Bytes, wanted: Flags) -> int:
         """How many returns the packets that are wanted (P,) hold at most."""
@@ -208,6 +206,7 @@ def write_hesai_returns(
     inside: Flags,
     limits: Sequence[float],
     lasers: int,
+    return_bytes: int,
     packets: Bytes,
 ) -> None:
     """Write into packets (P, size): block b holds column[b] of range_m and reflectivity (P, G F, R).

@@ -175,6 +175,10 @@ class Codec(Timing, Protocol):
         """(N, R) the types of the encoded returns, as decoding names them."""
         return np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape)
 
+    def fired_ns(self, mount: Mount, batch: Batch, range_m: Array) -> Times:
+        """(N, R) when the lasers fired whose returns these are, as decoders compute it."""
+        return np.broadcast_to(batch.firings.time_ns[:, None], range_m.shape)
+
     def housekeeping(
         self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:

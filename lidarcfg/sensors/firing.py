@@ -72,6 +72,7 @@ class Batch:
     firings: Firings  # packet by packet, the same number in each except for lasers that do not fire
     number: Times  # (P,) as the maker counts packets
     sent_ns: Times  # (P,) host time at which each leaves
+    loop: Times | None = None  # (P, G) in which of its loops each group of lasers fired, where a sensor has several
 
     @property
     def first(self) -> int:

@@ -137,14 +137,14 @@ def test_a_gap_in_the_field_of_view():
 def hesai_lasers(**changed):
     given = {"cos_elevation": np.ones(2), "sin_elevation": np.zeros(2), "cos_offset": np.ones(2)}
     given |= {"sin_offset": np.zeros(2), "ring": np.arange(2, dtype=np.uint8)}
-    given |= {"offset_ns": np.array([[0, 5]]), "group_ns": np.array([0, 10]), "pair_ns": np.array([20])}
+    given |= {"offset_ns": np.array([[0, 5]]), "near_ns": np.array([[0, 6]]), "lag_ns": np.array([[0, 0]])}
     return SimpleNamespace(**given | changed)
 
 
 def fields(count=1, **changed):
-    given = {"unit_mm": np.full(count, 4, np.uint8), "stamp_ns": np.zeros(count, np.int64)}
-    given |= {"dual": np.ones(count, np.bool_), "loop": np.zeros(count, np.uint8)}
-    given |= {"near": np.zeros(count, np.uint8), "far": np.ones(count, np.uint8)}
+    given = {"unit_mm": np.full(count, 4, np.uint8), "start_ns": np.full((count, 2), 20)}
+    given |= {"dual": np.ones(count, np.bool_), "loop": np.zeros((count, 2), np.uint8)}
+    given |= {"near": np.zeros(count, np.uint8), "far": np.ones(count, np.uint8), "turn": np.zeros(count)}
     return SimpleNamespace(**given | changed)
 
 
@@ -159,14 +159,34 @@ def test_hesais_pair():
         np.ones((1, 1), np.bool_),
         (0.5, 100.0, 0.004, 65535.0),
         2,
+        4,
         data,
     )
     out = returns(4)
-    count = packets.HesaiDecoder(hesai_lasers()).decode(data, np.ones(1, np.bool_), fields(), out)
+    count = packets.HesaiDecoder(hesai_lasers(), 2, 4, 0.0, 1).decode(data, np.ones(1, np.bool_), fields(), out)
     assert count == 3
     assert out.xyz_m[:count, 1].tolist() == [10, 5, 20]
     assert out.return_type[:count].tolist() == [2, 0, 1]
     assert out.time_ns[:count].tolist() == [20, 25, 20]
+
+
+@pytest.mark.parametrize("size", [3, 4, 5, 6])
+def test_hesais_returns_of_each_size(size):
+    """By hand: two bytes of distance, one of reflectivity; near returns have a time of their own, marks are none."""
+    data = np.full((1, 12 + 2 * (2 + 2 * size) + 1), 9, np.uint8)
+    data[0, 12:14] = data[0, 14 + 2 * size : 16 + 2 * size] = 0
+    units = [[500, 2], [1000, 499]]
+    for block, pair in enumerate(units):
+        for laser, distance in enumerate(pair):
+            at = 14 + block * (2 + 2 * size) + laser * size
+            data[0, at : at + 3] = (distance & 255, distance >> 8, 10 * block + laser)
+    out = returns(4)
+    decoder = packets.HesaiDecoder(hesai_lasers(), 2, size, 2.0, 4)
+    given = fields(dual=np.zeros(1, np.bool_), start_ns=np.array([[100, 200]]))
+    assert decoder.decode(data, np.ones(1, np.bool_), given, out) == 3
+    assert out.xyz_m[:3, 1].tolist() == [2, 4, 1.996]
+    assert out.intensity[:3].tolist() == [0, 10, 11]
+    assert out.time_ns[:3].tolist() == [100, 200, 206]
 
 
 @pytest.mark.parametrize("maker", MAKERS)
@@ -183,8 +203,8 @@ def test_the_last_time_there_is(maker):
     data = np.ones((1, 32), np.uint8)
     out = returns(4)
     for dual in (True, False):
-        changed = fields(stamp_ns=last_ns, dual=np.array([dual]))
-        assert packets.HesaiDecoder(hesai_lasers()).decode(data, wanted, changed, out)
+        changed = fields(start_ns=np.tile(last_ns, (1, 2)), dual=np.array([dual]))
+        assert packets.HesaiDecoder(hesai_lasers(), 2, 4, 0.0, 1).decode(data, wanted, changed, out)
     assert out.time_ns[:2].tolist() == [2**63 - 1, 4 - 2**63]
 
 
@@ -197,7 +217,7 @@ def test_crc_of_the_catalogue():
 DECODER = packets.VelodyneDecoder(slots(), lasers(), 1000, 100, 0.01)
 ONE = np.zeros((1, 1206), np.uint8)
 YES = np.ones(1, np.bool_)
-HESAI = packets.HesaiDecoder(hesai_lasers())
+HESAI = packets.HesaiDecoder(hesai_lasers(), 2, 4, 0.0, 1)
 REFUSED = {
     "slots.laser: beyond": lambda: packets.VelodyneDecoder(slots(laser=np.full(32, 16)), lasers(), 1000, 100, 0.01),
     "slots.laser: of whole": lambda: packets.VelodyneDecoder(slots(laser=np.arange(3)), lasers(), 1000, 100, 0.01),
@@ -230,10 +250,15 @@ REFUSED = {
     "laser: beyond": lambda: packets.uncorrect_velodyne_intensities(np.array([1]), np.zeros((1, 4)), ONE),
     "gap_ns": lambda: packets.velodyne_turning(np.zeros((2, 3), np.uint16), np.zeros(1, np.int64), 1000, 100),
     "fields.loop": lambda: HESAI.decode(
-        np.zeros((1, 40), np.uint8), YES, fields(loop=np.ones(1, np.uint8)), returns(4)
+        np.zeros((1, 40), np.uint8), YES, fields(loop=np.ones((1, 2), np.uint8)), returns(4)
     ),
     "packets: too short": lambda: HESAI.count(np.zeros((1, 31), np.uint8), YES),
-    "lasers.group_ns": lambda: packets.HesaiDecoder(hesai_lasers(group_ns=np.zeros(3, np.int64))),
+    "lasers.near_ns": lambda: packets.HesaiDecoder(hesai_lasers(near_ns=np.zeros((2, 2), np.int64)), 2, 4, 0.0, 1),
+    "blocks": lambda: packets.HesaiDecoder(hesai_lasers(), 3, 4, 0.0, 1),
+    "return_bytes": lambda: packets.HesaiDecoder(hesai_lasers(), 2, 7, 0.0, 1),
+    "fields.start_ns": lambda: HESAI.decode(
+        np.zeros((1, 40), np.uint8), YES, fields(start_ns=np.zeros((1, 3), np.int64)), returns(4)
+    ),
     "end": lambda: packets.crc32_mpeg2(ONE, 3, 1207),
     "encoder_rad": lambda: packets.fire(
         np.zeros(1), np.zeros(1, np.int64), np.zeros(2, np.int64), 0.1, np.zeros((1, 2), np.int64), np.zeros((2, 1))

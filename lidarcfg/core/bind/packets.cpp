@@ -52,16 +52,15 @@ struct Fields<packets::hesai::Lasers> {
   static constexpr auto members =
       fields(field("cos_elevation", &T::cos_elevation), field("sin_elevation", &T::sin_elevation),
              field("cos_offset", &T::cos_offset), field("sin_offset", &T::sin_offset), field("ring", &T::ring),
-             field("offset_ns", &T::offset_ns), field("lag_ns", &T::lag_ns), field("group_ns", &T::group_ns),
-             field("pair_ns", &T::pair_ns));
+             field("offset_ns", &T::offset_ns), field("near_ns", &T::near_ns), field("lag_ns", &T::lag_ns));
 };
 
 template <>
 struct Fields<packets::hesai::PacketFields> {
   using T = packets::hesai::PacketFields;
   static constexpr auto members =
-      fields(field("unit_mm", &T::unit_mm), field("stamp_ns", &T::stamp_ns), field("dual", &T::dual),
-             field("loop", &T::loop), field("near", &T::near), field("far", &T::far), field("turn", &T::turn));
+      fields(field("unit_mm", &T::unit_mm), field("start_ns", &T::start_ns), field("loop", &T::loop),
+             field("dual", &T::dual), field("near", &T::near), field("far", &T::far), field("turn", &T::turn));
 };
 
 namespace {
@@ -76,6 +75,12 @@ constexpr double unit_min_m = 1e-6;
 template <class T>
 bool all_below(View<const T> values, Index count) {
   return std::ranges::all_of(values, [count](Index value) { return 0 <= value && value < count; });
+}
+
+/// A matrix row after row.
+template <class T>
+View<const T> flat(Rows<const T> rows) {
+  return {rows.data(), static_cast<std::size_t>(rows.size())};
 }
 
 packets::Limits limits_of(const std::array<double, 4>& values) {
@@ -241,8 +246,7 @@ void bind_velodyne(nb::module_& module) {
       module, "uncorrect_velodyne_intensities",
       [](View<const std::int64_t> laser, Rows<const double> focal, Rows<std::uint8_t> packets) {
         require(packets.columns() == packets::Velodyne::packet_bytes, "packets: of another size");
-        require(std::ssize(laser) <= packets::slots_per_packet,
-                "laser: more than 384 slots");
+        require(std::ssize(laser) <= packets::slots_per_packet, "laser: more than 384 slots");
         require(focal.columns() == 4, "focal: four for each laser");
         require(all_below(laser, focal.rows()), "laser: beyond the rows of focal");
         packets::uncorrect_intensities(laser, focal, packets);
@@ -259,10 +263,17 @@ void check_hesai_lasers(const packets::hesai::Lasers& lasers) {
   require(lasers.sin_offset.size() == count, "lasers.sin_offset: one for each ring");
   require(lasers.offset_ns.rows() > 0 && lasers.offset_ns.columns() == static_cast<Index>(count),
           "lasers.offset_ns: at least one loop, with one for each ring");
-  require(lasers.lag_ns.rows() == lasers.offset_ns.rows() && lasers.lag_ns.columns() == static_cast<Index>(count),
-          "lasers.lag_ns: one for each of offset_ns");
-  require(!lasers.group_ns.empty() && lasers.group_ns.size() % 2 == 0, "lasers.group_ns: of an even number of blocks");
-  require(lasers.pair_ns.size() == lasers.group_ns.size() / 2, "lasers.pair_ns: one for every two of group_ns");
+  const auto is_by_laser = [&](Rows<const std::int64_t> rows) {
+    return rows.rows() == lasers.offset_ns.rows() && rows.columns() == lasers.offset_ns.columns();
+  };
+  require(is_by_laser(lasers.near_ns), "lasers.near_ns: one for each of offset_ns");
+  require(is_by_laser(lasers.lag_ns), "lasers.lag_ns: one for each of offset_ns");
+}
+
+void check_hesai_layout(const packets::hesai::Layout& layout) {
+  require(0 < layout.lasers && layout.lasers <= lasers_max, "lasers: allowed: 1 to 256");
+  require(0 < layout.blocks && layout.blocks <= 256, "blocks: allowed: 1 to 256");
+  require(3 <= layout.return_bytes && layout.return_bytes <= 6, "return_bytes: allowed: 3 to 6");
 }
 
 void bind_hesai(nb::module_& module) {
@@ -270,11 +281,13 @@ void bind_hesai(nb::module_& module) {
   nb::class_<Decoder> type(module, "HesaiDecoder");
   init(
       type,
-      [](const packets::hesai::Lasers& lasers) {
+      [](const packets::hesai::Lasers& lasers, Index blocks, Index return_bytes, double near_m, int least) {
         check_hesai_lasers(lasers);
-        return Decoder(lasers);
+        check_hesai_layout({std::ssize(lasers.ring), blocks, return_bytes});
+        require(blocks % 2 == 0, "blocks: an even number");
+        return Decoder(lasers, blocks, return_bytes, {near_m, least});
       },
-      "Tables of lasers.", "lasers");
+      "Tables of lasers.", "lasers", "blocks", "return_bytes", "near_m", "least");
   def(
       type, "count",
       [](const Decoder& self, Bytes packets, View<const bool> wanted) {
@@ -291,10 +304,14 @@ void bind_hesai(nb::module_& module) {
         require(packets.columns() >= self.layout().end(), "packets: too short for the blocks");
         require(wanted.size() == count, "wanted: one for each packet");
         require(fields.unit_mm.size() == count, "fields.unit_mm: one for each packet");
-        require(fields.stamp_ns.size() == count, "fields.stamp_ns: one for each packet");
+        const Index blocks = self.layout().blocks;
+        const auto is_by_block = [=](const auto& rows) {
+          return rows.rows() == static_cast<Index>(count) && rows.columns() == blocks;
+        };
+        require(is_by_block(fields.start_ns), "fields.start_ns: one for each block of each packet");
+        require(is_by_block(fields.loop) && all_below(flat(fields.loop), self.loops()),
+                "fields.loop: one of the loops for each block of each packet");
         require(fields.dual.size() == count, "fields.dual: one for each packet");
-        require(fields.loop.size() == count && all_below(fields.loop, self.loops()),
-                "fields.loop: one of the loops for each packet");
         require(fields.near.size() == count, "fields.near: one for each packet");
         require(fields.far.size() == count, "fields.far: one for each packet");
         require(fields.turn.size() == count, "fields.turn: one for each packet");
@@ -307,17 +324,16 @@ void bind_hesai(nb::module_& module) {
       module, "write_hesai_returns",
       [](Tables<const double> range_m, Tables<const std::uint8_t> reflectivity, Bytes laser,
          View<const std::int64_t> column, Rows<const bool> inside, std::array<double, 4> limits, Index lasers,
-         Rows<std::uint8_t> packets) {
+         Index return_bytes, Rows<std::uint8_t> packets) {
         const Index count = packets.rows();
         const Index groups = inside.columns();
-        const packets::hesai::Layout layout{lasers, std::ssize(column)};
-        require(0 < lasers && lasers <= lasers_max, "lasers: allowed: 1 to 256");
+        const packets::hesai::Layout layout{lasers, std::ssize(column), return_bytes};
+        check_hesai_layout(layout);
         require(packets.columns() >= layout.end(), "packets: too short for the blocks");
         require(inside.rows() == count && groups > 0 && layout.blocks % groups == 0,
                 "inside: for each packet, one for as many blocks each");
         require(laser.rows() == count && laser.columns() % groups == 0, "laser: for each packet, as many a group");
-        require(all_below(View<const std::uint8_t>{laser.data(), static_cast<std::size_t>(laser.size())}, lasers),
-                "laser: beyond the lasers");
+        require(all_below(flat(laser), lasers), "laser: beyond the lasers");
         require(range_m.tables() == count && range_m.rows() == laser.columns(), "range_m: one or two for each laser");
         require(reflectivity.tables() == count && reflectivity.rows() == range_m.rows() &&
                     reflectivity.columns() == range_m.columns(),
@@ -326,7 +342,7 @@ void bind_hesai(nb::module_& module) {
         packets::hesai::write_returns(range_m, reflectivity, laser, column, inside, limits_of(limits), layout, packets);
       },
       "Write returns into the blocks of packets.", "range_m", "reflectivity", "laser", "column", "inside", "limits",
-      "lasers", "packets");
+      "lasers", "return_bytes", "packets");
 }
 
 }  // namespace

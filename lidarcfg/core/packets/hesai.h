@@ -1,7 +1,7 @@
-/// Hesai's packets of protocols 6.1 and 3.2: PandarXT, XT32M2X and QT128C2X user manuals, section 3.1.
+/// Hesai's packets of protocols 6.1, 3.2 and 1.4: PandarXT, XT32M2X, QT128C2X and Pandar128E3X user manuals.
 ///
 /// After a header of twelve bytes come B blocks: an azimuth, and for each of L lasers two bytes of distance, one of
-/// reflectivity and one of confidence; all is little endian. With dual returns a block and the next one are a pair.
+/// reflectivity and up to three more; all is little endian. With dual returns a block and the next one are a pair.
 #pragma once
 
 #include <vector>
@@ -15,9 +15,11 @@ namespace lidarcfg::packets::hesai {
 struct Layout {
   Index lasers;
   Index blocks;
+  Index return_bytes;  // 3 to 6
 
-  Index block_bytes() const { return 2 + 4 * lasers; }
-  Index end() const { return header_bytes + blocks * block_bytes(); }
+  Index block_bytes() const { return 2 + return_bytes * lasers; }
+  /// What a packet has at least: returns are read four bytes at a time.
+  Index end() const { return header_bytes + blocks * block_bytes() + (return_bytes < 4); }
 
   template <class Byte>
   Byte* azimuth(View<Byte> packet, Index block) const {
@@ -29,7 +31,6 @@ struct Layout {
   }
 
   static constexpr Index header_bytes = 12;
-  static constexpr Index return_bytes = 4;
 };
 
 /// What is known of the lasers and of when they fire.
@@ -39,18 +40,23 @@ struct Lasers {
   View<const double> cos_offset;       // (L,) of the azimuth offset
   View<const double> sin_offset;       // (L,)
   View<const std::uint8_t> ring;       // (L,)
-  Rows<const std::int64_t> offset_ns;  // (loops, L) of each laser in a block; blocks go through the loops
+  Rows<const std::int64_t> offset_ns;  // (loops, L) when each laser fires, after its block's start
+  Rows<const std::int64_t> near_ns;    // (loops, L) the same for returns from nearer than `near_m`
   Rows<const std::int64_t> lag_ns;     // (loops, L) how long the head turns from a block's azimuth to the laser's
-  View<const std::int64_t> group_ns;   // (B,) when each block starts with single returns, after the packet's stamp
-  View<const std::int64_t> pair_ns;    // (B / 2,) when each pair of blocks starts with dual returns
+};
+
+/// What distances mean.
+struct Distances {
+  double near_m;  // returns from nearer are of a firing of their own
+  int least;      // units; less is a mark of the sensor and no return
 };
 
 /// What P packets say beside their blocks.
 struct PacketFields {
   View<const std::uint8_t> unit_mm;   // (P,) of distances
-  View<const std::int64_t> stamp_ns;  // (P,)
+  Rows<const std::int64_t> start_ns;  // (P, B) when each block starts
+  Rows<const std::uint8_t> loop;      // (P, B) which loop's lasers fire
   View<const bool> dual;              // (P,)
-  View<const std::uint8_t> loop;      // (P,) with dual returns: which lasers fire
   View<const std::uint8_t> near;      // (P,) the kind of single returns, or of a pair's nearer one
   View<const std::uint8_t> far;       // (P,) the kind of a pair's farther return
   View<const double> turn;            // (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
@@ -62,7 +68,7 @@ constexpr std::uint8_t by_block = 254;
 /// Decodes the packets of one sensor; owns its tables.
 class Decoder {
  public:
-  explicit Decoder(const Lasers& lasers);
+  Decoder(const Lasers& lasers, Index blocks, Index return_bytes, Distances distances);
 
   const Layout& layout() const { return layout_; }
   Index loops() const { return loops_; }
@@ -80,12 +86,11 @@ class Decoder {
  private:
   Layout layout_;
   Index loops_;
+  Distances distances_;
   std::vector<double> cos_w_, sin_w_;  // (L,) of the elevation
   std::vector<double> cos_o_, sin_o_;  // (L,) of the azimuth offset
   std::vector<std::uint8_t> ring_;
-  std::vector<std::int64_t> offset_ns_;  // (loops, L)
-  std::vector<std::int64_t> lag_ns_;     // (loops, L)
-  std::vector<std::int64_t> group_ns_, pair_ns_;
+  std::vector<std::int64_t> offset_ns_, near_ns_, lag_ns_;  // (loops, L)
 };
 
 /// Write the returns of packets into their blocks: block b holds column `column[b]` of those of group b / (B / G).

@@ -6,6 +6,7 @@ which the rest of the package knows them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from lidarcfg.packets.emulator import Site
 from lidarcfg.packets.hesai import decode, encode, telemetry
 from lidarcfg.packets.hesai.emulator import HesaiEmulator
 from lidarcfg.packets.hesai.layout import bytes_of
-from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, unit
+from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, resolutions, sending, unit, unit_of
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Pattern, ranked
 from lidarcfg.sensors.rig import SINGLE, Mount
@@ -37,23 +38,38 @@ class Hesai(Codec):
         self.unit = unit(sensor)
 
     def check(self, mount: Mount) -> None:
-        mount.settings.checked(Settings)
-        assert self.unit.unit_mm
+        assert unit_of(self.unit, mount).unit_mm
         pairs = [pair.mode for pair in self.unit.facts.packet.pairs]
         if mount.dual and mount.return_mode not in pairs:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
             raise ConfigError(f"{what}; a {self.unit.name} sends {', '.join((*SINGLE, *pairs))}")
 
     def pace(self, mount: Mount) -> Pace:
-        return Pace(self.unit.period_ns(mount.dual), self.unit.groups(mount.dual) * self.unit.lasers.shape[1])
+        unit = unit_of(self.unit, mount)
+        return Pace(unit.period_ns(mount.dual), unit.groups(mount.dual) * unit.lasers.shape[1])
 
     def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-        return batches(self.unit, mount, start_ns, packets, chunk)
+        return batches(unit_of(self.unit, mount), mount, start_ns, packets, chunk)
 
     def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
-        packets = encode.encode(self.unit, mount, batch, range_m, reflectivity)
+        packets = encode.encode(unit_of(self.unit, mount), mount, batch, range_m, reflectivity)
         headers = self.unit.facts.headers
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
+
+    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
+        """Those of protocol 1.4 say which parts packets have, and the resolution."""
+        more = measured.more
+        if "said" not in more:
+            return super().encode_measurements(mount, measured)
+        model, flags, state = map(int, more["said"])
+        unit = sending(self.unit, flags, model)
+        unit = next((one for one in resolutions(unit) if one.operational_state == state), unit)
+        batch = replace(measured.batch, loop=more["loop"].astype(np.int64))
+        return bytes_of(encode.encode(unit, mount, batch, measured.range_m, measured.reflectivity))
+
+    def fired_ns(self, mount: Mount, batch: Batch, range_m: Array) -> Times:
+        """Some lasers of a Pandar128 have a firing of its own for what is near."""
+        return encode.fired_ns(unit_of(self.unit, mount), batch, range_m)
 
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, self.unit.packets_of(payloads.data), mount.return_mode, batch.firings.laser)
@@ -68,14 +84,14 @@ class Hesai(Codec):
         return kinds
 
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
-        """The angle correction file."""
-        return telemetry.correction_file(self.unit, mount)
+        """The angle correction file; of protocol 1.4 the firing times, too."""
+        return {**telemetry.correction_file(self.unit, mount), **telemetry.firing_times_file(self.unit, mount)}
 
     def return_modes(self, source: Source, packets: Bytes) -> Times:
-        return decode.return_modes(self.unit, packets)
+        return decode.return_modes(decode.as_sent(source.where, self.unit, packets), packets)
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        return decode.measurements(self.unit, packets, host_ns)
+        return decode.measurements(decode.as_sent(source.where, self.unit, packets), packets, host_ns)
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:
@@ -87,29 +103,28 @@ class Hesai(Codec):
         return decode.identify(source.where, packets, _units(known)).sensor
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        decode.check_size(source.where, self.unit, packets)
-        beams = telemetry.find_corrections(source, self.unit.count)
+        unit = decode.as_sent(source.where, self.unit, packets)
+        beams = telemetry.find_corrections(source, unit.count)
         if beams is None:
-            what = f"no *{telemetry.SUFFIX} beside it; the nominal angles of {self.unit.name} are taken"
+            what = f"no *{telemetry.SUFFIX} beside it; the nominal angles of {unit.name} are taken"
             source.on_warning(f"{source.where}: {what}")
-            return decode.HesaiDecoder(source.where, self.unit, source.driver_view)
-        sensor = self.unit.sensor.model_copy(update={"beams": beams})
-        return decode.HesaiDecoder(source.where, Unit(sensor, self.unit.facts), source.driver_view)
+            return decode.HesaiDecoder(source.where, unit, source.driver_view)
+        sensor = unit.sensor.model_copy(update={"beams": beams})
+        return decode.HesaiDecoder(source.where, Unit(sensor, unit.facts), source.driver_view)
 
     def emulator(self, source: Source, packets: Bytes, site: Site) -> HesaiEmulator:
         """PTC."""
         return HesaiEmulator(self.unit, source, site)
 
     def firing_ns(self) -> Times:
-        """(L,) in the first loop; for a laser that rests there, in the second."""
-        fires = self.unit.fires
-        offset_ns = self.unit.offset_ns
-        return np.asarray(np.where(fires[0], offset_ns[0], offset_ns[-1]))
+        """(L,) in the first loop; for a laser that rests there, in the next in which it does not."""
+        first = np.argmax(self.unit.fires, axis=0)
+        return np.asarray(self.unit.offset_ns[first, np.arange(self.unit.count)])
 
     def pattern(self, mount: Mount) -> Pattern:
         """All lasers of a group fire where the head is at its start."""
-        unit = self.unit
-        loops = len(self.unit.lasers)
+        unit = unit_of(self.unit, mount)
+        loops = len(unit.lasers)
         groups = unit.groups(True) if mount.dual and loops > 1 else 1  # of a packet are of one loop
         loop = np.repeat(np.arange(loops), groups)
         group_rad = unit.facts.firing.period_ns * (2 * np.pi * mount.rpm / MINUTE_NS)

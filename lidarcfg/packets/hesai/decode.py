@@ -17,14 +17,17 @@ from lidarcfg.packets.hesai.layout import (
     HEADER,
     MODES,
     RETURN_MODE_CODES,
+    SEQUENCE,
     START,
     Packets,
+    azimuth_states,
     bytes_of,
     device_time_ns,
     encoder_rad,
     is_dual,
+    return_bytes,
 )
-from lidarcfg.packets.hesai.model import Unit
+from lidarcfg.packets.hesai.model import Unit, resolutions, sending
 from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST, Batch, Firings
 from lidarcfg.sensors.rig import SINGLE
 from lidarcfg.units import MINUTE_NS
@@ -35,7 +38,7 @@ OLDER = {  # first bytes, of models whose packets have no protocol, and sizes: w
     "Pandar40P": (b"\xff\xee", (1262, 1266)),
     "Pandar64": (b"\xee\xff\x40\x06", (1194, 1198)),
 }
-SEQUENCES = 1 << 32
+NUMBERS = 1 << 32  # of packets
 SLACK = 8  # lost packets beyond those that fit the elapsed time; with more, the sensor was restarted
 BY_BLOCK = 254  # which of a pair is the strongest, its block tells
 SINGLE_KINDS = {0x33: FIRST, 0x37: STRONGEST, 0x38: LAST}
@@ -51,9 +54,9 @@ class PacketFields(NamedTuple):
     """What P packets say beside their blocks."""
 
     unit_mm: Bytes  # (P,) of distances
-    stamp_ns: Times  # (P,)
+    start_ns: Times  # (P, B) when each block starts
+    loop: Bytes  # (P, B) which lasers fire, and when
     dual: Flags  # (P,) whether neighbouring blocks hold two returns of the same firings
-    loop: Bytes  # (P,) with dual returns: which lasers fire
     near: Bytes  # (P,) the type of a pair's nearer return, or of single returns
     far: Bytes  # (P,) the type of a pair's farther return
     turn: Array  # (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
@@ -67,10 +70,9 @@ class Lasers(NamedTuple):
     cos_offset: Array  # of the azimuth offset
     sin_offset: Array
     ring: Bytes
-    offset_ns: Times  # (loops, L)
+    offset_ns: Times  # (loops, L) after the block's start
+    near_ns: Times  # (loops, L) the same for what is near
     lag_ns: Times  # (loops, L) how long the head turns from a block's azimuth to the laser's
-    group_ns: Times  # (B,) single: when each block starts, after the stamp
-    pair_ns: Times  # (B / 2,) dual: when each pair starts
 
 
 class HesaiDecoder(Decoder):
@@ -127,22 +129,53 @@ def decode(
         near[mode] = kind
     for mode, pair in PAIR_KINDS.items():
         near[mode], far[mode] = pair
-    loop: Bytes = np.zeros(len(packets), np.uint8)
-    if len(unit.facts.firing.loops) > 1:
-        loop = (1 - (packets["mode_flag"] & 1)).astype(np.uint8)
+    dual = is_dual(packets)
+    start_ns, loop = _blocks(unit, packets, dual, driver_view)
     fields = PacketFields(
         unit_mm=np.ascontiguousarray(packets["header"]["unit_mm"]),
-        stamp_ns=device_time_ns(packets),
-        dual=is_dual(packets),
+        start_ns=start_ns,
         loop=loop,
+        dual=dual,
         near=near[modes],
         far=far[modes],
-        turn=packets["tail"]["rpm"] * (driver_view * 2 * np.pi / MINUTE_NS),
+        turn=packets["tail"]["rpm"] * (driver_view * unit.facts.packet.speed_unit_rpm * 2 * np.pi / MINUTE_NS),
     )
     data = bytes_of(packets)
-    decoder = _decoder(unit, driver_view)
+    decoder = _decoder(unit)
     out = Returns.allocate(decoder.count(data, wanted), polar)
     return out.first(decoder.decode(data, wanted, fields, out))
+
+
+def _blocks(unit: Unit, packets: Packets, dual: Flags, driver_view: bool) -> tuple[Times, Bytes]:
+    """(P, B) when the blocks of packets start, and their loops: of all resolutions, one after the other."""
+    standard, *others = resolutions(unit)
+    start_ns = _starts_ns(standard, packets, dual, driver_view)
+    loop = _loops(standard, packets, dual)
+    before = len(standard.fires)
+    for other in others:
+        rows = packets["operational_state"] == other.operational_state
+        start_ns[rows] = _starts_ns(other, packets[rows], dual[rows], driver_view)
+        loop[rows] = before + _loops(other, packets[rows], dual[rows])
+        before += len(other.fires)
+    return start_ns, loop
+
+
+def _starts_ns(unit: Unit, packets: Packets, dual: Flags, driver_view: bool = False) -> Times:
+    """(P, B): when the blocks of packets of this resolution start."""
+    group_ns = unit.driver_group_ns if driver_view else unit.group_ns
+    after_ns = np.stack([group_ns(dual=False), np.repeat(group_ns(dual=True), 2)])
+    return np.asarray(device_time_ns(packets)[:, None] + after_ns[dual.astype(np.int64)])
+
+
+def _loops(unit: Unit, packets: Packets, dual: Flags) -> Bytes:
+    """(P, B): which loop's lasers fire in the blocks of packets of this resolution."""
+    count = len(unit.fires)
+    if unit.facts.packet.protocol == "1.4":
+        return np.asarray(azimuth_states(packets) % count, np.uint8)
+    loop = np.tile(np.arange(unit.facts.packet.blocks, dtype=np.uint8) % count, (len(packets), 1))
+    if count > 1:
+        loop[dual] = 1 - (packets["mode_flag"][dual, None] & 1)
+    return loop
 
 
 def check(unit: Unit, packets: Packets) -> None:
@@ -164,38 +197,49 @@ def _mistakes(unit: Unit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.
         ("blocks", unit.facts.packet.blocks),
     ):
         yield header[key] != right, header[key], partial(_other, name, key, right)
+    if unit.facts.packet.models:
+        low, high = unit.facts.packet.models
+        wrong = (header["model"] < low) | (header["model"] > high)
+        yield wrong, header["model"], partial(_other, name, "byte 4", f"{low} to {high}")
+        yield (
+            header["flags"] != unit.facts.packet.flags,
+            header["flags"],
+            partial(_other, name, "flags", f"{unit.facts.packet.flags}, as in the first ones"),
+        )
     mode = packets["tail"]["return_mode"]
     allowed = ", ".join(f"0x{code:02X} {name}" for code, name in MODES.items())
     yield ~np.isin(mode, list(MODES)), mode, lambda value: f"{name}: return mode 0x{value:02X}; read are {allowed}"
     yield header["unit_mm"] == 0, header["unit_mm"], lambda value: f"{name}: a distance unit of {value} mm"
 
 
-def _other(name: str, key: str, right: int, value: int) -> str:
+def _other(name: str, key: str, right: int | str, value: int) -> str:
     return f"not a packet of {name}: {key} {value}; allowed: {right}"
 
 
 @lru_cache
-def _decoder(unit: Unit, driver_view: bool) -> core.HesaiDecoder:
+def _decoder(unit: Unit) -> core.HesaiDecoder:
     sensor = unit.sensor
-    group_ns = unit.driver_group_ns if driver_view else unit.group_ns
     lasers = Lasers(
         cos_elevation=maths.cos(sensor.elevation_rad),
         sin_elevation=maths.sin(sensor.elevation_rad),
         cos_offset=maths.cos(sensor.azimuth_offset_rad),
         sin_offset=maths.sin(sensor.azimuth_offset_rad),
         ring=sensor.ring.astype(np.uint8),
-        offset_ns=unit.offset_ns,
-        lag_ns=unit.driver_lag_ns,
-        group_ns=group_ns(dual=False),
-        pair_ns=group_ns(dual=True),
+        offset_ns=np.concatenate([one.offset_ns for one in resolutions(unit)]),
+        near_ns=np.concatenate([one.near_ns for one in resolutions(unit)]),
+        lag_ns=np.concatenate([one.driver_lag_ns for one in resolutions(unit)]),
     )
-    return core.HesaiDecoder(lasers)
+    facts = unit.facts.packet
+    return core.HesaiDecoder(lasers, facts.blocks, return_bytes(unit.dtype), unit.near_m, facts.least_units)
 
 
 def return_modes(unit: Unit, data: Bytes) -> Times:
-    """(P,) what packets (P, size) say of their mode, and of the unit of their distances."""
+    """(P,) what packets (P, size) say of their mode, of the unit of their distances and of their resolution."""
     packets = unit.packets_of(data)
-    return np.asarray(packets["tail"]["return_mode"].astype(np.int64) << 8 | packets["header"]["unit_mm"])
+    said = packets["tail"]["return_mode"].astype(np.int64) << 8 | packets["header"]["unit_mm"]
+    if unit.facts.packet.protocol == "1.4":
+        said |= packets["operational_state"].astype(np.int64) << 16 | packets["header"]["model"].astype(np.int64) << 24
+    return np.asarray(said)
 
 
 def measurements(unit: Unit, data: Bytes, host_ns: Times) -> Measurements:
@@ -214,11 +258,12 @@ def measurements(unit: Unit, data: Bytes, host_ns: Times) -> Measurements:
     dual = len(columns) == 2
     if (packets["header"]["unit_mm"] != unit.unit_mm).any():
         raise PacketError(f"{unit.name}: distances are not in units of {unit.unit_mm} mm, as the sensor's file says")
-    loops = np.broadcast_to(np.arange(unit.groups(dual)) % len(unit.fires), (len(packets), unit.groups(dual)))
-    if dual and len(unit.fires) > 1:
-        loops = np.broadcast_to(1 - (packets["mode_flag"][:, None] & 1).astype(np.int64), loops.shape)
-    start_ns = device_time_ns(packets)[:, None, None] + unit.group_ns(dual)[None, :, None]
-    time_ns = start_ns + unit.offset_ns[loops]
+    state = int(packets["operational_state"][0]) if unit.facts.packet.protocol == "1.4" else None
+    unit = next((one for one in resolutions(unit) if one.operational_state == state), unit)
+    each = np.full(len(packets), dual)
+    loops = _loops(unit, packets, each)[:, :: 1 + dual]
+    start_ns = _starts_ns(unit, packets, each)[:, :: 1 + dual]
+    time_ns = start_ns[:, :, None] + unit.offset_ns[loops]
     shape = time_ns.shape
     laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
     blocks = packets["blocks"]
@@ -230,9 +275,16 @@ def measurements(unit: Unit, data: Bytes, host_ns: Times) -> Measurements:
     )
     range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
     batch = Batch(
-        Firings(time_ns[fires], laser[fires], encoder[fires]), packets["tail"]["sequence"].astype(np.int64), host_ns
+        Firings(time_ns[fires], laser[fires], encoder[fires]),
+        packets["tail"]["sequence"].astype(np.int64),
+        host_ns,
+        loops.astype(np.int64),
     )
-    return Measurements(mode, batch, range_m, reflectivity)
+    if state is None:
+        return Measurements(mode, batch, range_m, reflectivity)
+    first = packets["header"][0]
+    said = np.array([first["model"], first["flags"], state], np.uint8)
+    return Measurements(mode, batch, range_m, reflectivity, {"loop": loops, "said": said})
 
 
 class PacketLossCounter:
@@ -252,8 +304,9 @@ class PacketLossCounter:
         self._speeds += int(tail["rpm"][wanted].sum(dtype=np.int64))
         self._packets += int(wanted.sum())
         sequence: Times = tail["sequence"].astype(np.int64)
-        missing = np.diff(sequence) % SEQUENCES - 1
-        passed = np.diff(device_time_ns(packets)) / self._unit.period_ns(dual=True)
+        missing = np.diff(sequence) % NUMBERS - 1
+        shortest_ns = min(unit.period_ns(dual=True) for unit in resolutions(self._unit))
+        passed = np.diff(device_time_ns(packets)) / shortest_ns
         lost = wanted[1:] & (missing > 0) & (missing <= passed + SLACK)
         self.lost += int(missing[lost].sum())
 
@@ -265,7 +318,8 @@ class PacketLossCounter:
     @property
     def rpm(self) -> float:
         """The motor's mean speed, as the packets say it; NaN without any."""
-        return self._speeds / self._packets if self._packets else math.nan
+        unit_rpm = self._unit.facts.packet.speed_unit_rpm
+        return self._speeds * unit_rpm / self._packets if self._packets else math.nan
 
 
 def matches(size: int, payload: bytes) -> bool:
@@ -288,24 +342,51 @@ def identify(where: str, packets: Bytes, known: Sequence[Unit]) -> Unit:
     if older := _older(packets.shape[1], packets[0].tobytes()):
         names = ", ".join(unit.name for unit in known)
         raise PacketError(f"{where} sends Hesai's {older} packets of {packets.shape[1]} bytes; read are {names}")
-    headers, counts = np.unique(packets[:, : HEADER.itemsize], axis=0, return_counts=True)
-    header = headers[counts.argmax()].view(HEADER)[0]  # the most frequent header: a packet may be damaged
-    protocol = f"{header['major']}.{header['minor']}"
+    header = _usual_header(packets)
     size = packets.shape[1]
     for unit in known:
-        facts = unit.facts.packet
-        layout = (protocol, int(header["lasers"]), int(header["blocks"]), size)
-        if layout == (facts.protocol, unit.count, facts.blocks, unit.dtype.itemsize):
+        if _sends(unit, header) and _as_said(unit, header).dtype.itemsize == size:
             return unit
     names = ", ".join(
         f"{unit.name} ({unit.facts.packet.protocol}, {unit.count}, {unit.facts.packet.blocks}, {unit.dtype.itemsize})"
         for unit in known
     )
-    what = f"protocol {protocol}, {header['lasers']} lasers, {header['blocks']} blocks, {size} bytes"
+    what = f"protocol {_protocol(header)}, {header['lasers']} lasers, {header['blocks']} blocks, {size} bytes"
     raise PacketError(f"{where} sends Hesai's {what}; read are {names}")
 
 
-def check_size(where: str, unit: Unit, packets: Bytes) -> None:
-    """Raises PacketError unless the packets (P, size) are as long as this sensor's."""
-    if packets.shape[1] != unit.dtype.itemsize:
-        raise PacketError(f"{where} sends {packets.shape[1]} bytes; {unit.name} would send {unit.dtype.itemsize}")
+def as_sent(where: str, unit: Unit, packets: Bytes) -> Unit:
+    """The unit with packets of those parts that the headers of these (P, size) say.
+
+    Raises PacketError unless these are as long.
+    """
+    header = _usual_header(packets)
+    sent = _as_said(unit, header) if _protocol(header) == unit.facts.packet.protocol else unit
+    if packets.shape[1] != sent.dtype.itemsize:
+        raise PacketError(f"{where} sends {packets.shape[1]} bytes; {unit.name} would send {sent.dtype.itemsize}")
+    return sent
+
+
+def _usual_header(packets: Bytes) -> np.void:
+    """The most frequent one of packets (P, size), of which some may be damaged."""
+    headers, counts = np.unique(packets[:, : HEADER.itemsize], axis=0, return_counts=True)
+    header: np.void = headers[counts.argmax()].view(HEADER)[0]
+    return header
+
+
+def _protocol(header: np.void) -> str:
+    return f"{header['major']}.{header['minor']}"
+
+
+def _sends(unit: Unit, header: np.void) -> bool:
+    """Whether packets with this header may be the unit's, whatever their size."""
+    facts = unit.facts.packet
+    low, high = facts.models or (0, 255)
+    layout = facts.protocol, unit.count, facts.blocks
+    return layout == (_protocol(header), header["lasers"], header["blocks"]) and low <= header["model"] <= high
+
+
+def _as_said(unit: Unit, header: np.void) -> Unit:
+    """The unit, of the header's protocol, with the parts that its flags say; without a sequence as the file says."""
+    flags = int(header["flags"])
+    return sending(unit, flags) if unit.facts.packet.models and flags & SEQUENCE else unit

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from lidarcfg.packets.codec import Source
 from lidarcfg.packets.emulator import Answer, Emulator, RequestError, Service, Site, Target
 from lidarcfg.packets.hesai.model import Unit
-from lidarcfg.packets.hesai.telemetry import SUFFIX, correction_lines, find_corrections
+from lidarcfg.packets.hesai.telemetry import FIRING_TIMES, SUFFIX, correction_lines, find_corrections
 
 PORT = 9347
 START = b"\x47\x74"  # of a frame of PTC 1.0
@@ -27,7 +27,6 @@ SETTINGS = {0x17: "the motor's speed", 0x18: "a sync angle", 0x1E: "a return mod
 OK = 0
 INVALID_PARAMETER = 1
 UNSUPPORTED = 5
-FIRING_TIMES = "-firetimes.csv"
 
 
 class Product(NamedTuple):

@@ -1,4 +1,4 @@
-"""Encodes firings and their measurements as packets; a QT128C2X's have functional safety and checksums besides."""
+"""Encodes firings and their measurements as packets; of protocols 3.2 and 1.4 with functional safety and checksums."""
 
 import numpy as np
 
@@ -8,16 +8,16 @@ from lidarcfg.packets.hesai.layout import (
     DISTANCE_MAX,
     FACTORY,
     FIRST_LAST,
-    FLAGS,
     HEADER,
-    RESERVED,
     RETURN_MODE_CODES,
     SAFETY,
     START,
     Packets,
     azimuth_of,
+    azimuth_state_of,
     bytes_of,
     date_of,
+    return_bytes,
 )
 from lidarcfg.packets.hesai.model import Unit, within
 from lidarcfg.sensors.firing import Batch
@@ -37,13 +37,14 @@ def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity:
     packets = np.zeros(len(batch.number), unit.dtype)
     shape = len(packets), unit.groups(dual), unit.lasers.shape[1]
     time_ns, laser, encoder_rad = (getattr(batch.firings, key).reshape(shape) for key in COLUMNS)
-    loop = _loops(unit, laser)
+    loop = _loops(unit, laser) if batch.loop is None else batch.loop
     inside = within(mount, encoder_rad[:, :, 0])
     blocks = packets["blocks"]
     facts = unit.range
     blocks["azimuth"] = np.repeat(azimuth_of(encoder_rad[:, :, 0]), 1 + dual, axis=1)
     returns = blocks["returns"]
-    returns["confidence"] = unit.facts.packet.confidence
+    if unit.facts.packet.protocol != "1.4":
+        returns["confidence"] = unit.facts.packet.confidence
     column = np.array(pair * shape[1], np.int64)
     limits = *facts.reported_m, unit.resolution_m, float(DISTANCE_MAX)
     firings = len(packets), shape[1] * shape[2]
@@ -55,6 +56,7 @@ def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity:
         inside,
         limits,
         unit.count,
+        return_bytes(unit.dtype),
         bytes_of(packets),
     )
     first = laser[:, -1, 0]
@@ -63,7 +65,7 @@ def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity:
     _head(unit, packets, dual)
     tail = packets["tail"]
     tail["return_mode"] = RETURN_MODE_CODES[mount.return_mode]
-    tail["rpm"] = round(mount.rpm)
+    tail["rpm"] = round(mount.rpm / unit.facts.packet.speed_unit_rpm)
     tail["factory"] = FACTORY
     tail["date"] = date_of(stamp_ns)
     tail["microseconds"] = stamp_ns % SECOND_NS // 1000
@@ -71,6 +73,10 @@ def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity:
     if unit.facts.packet.protocol == "3.2":
         if len(unit.fires) > 1:
             packets["mode_flag"] = 1 - loop[:, 0]  # with single returns too Hesai's SDK takes the first loop from it
+        write_safety(packets, stamp_ns)
+    elif unit.facts.packet.protocol == "1.4":
+        packets["azimuth_state"] = azimuth_state_of(np.repeat(loop, 1 + dual, axis=1))
+        packets["operational_state"] = unit.operational_state
         write_safety(packets, stamp_ns)
     return packets
 
@@ -105,12 +111,23 @@ def holds_one(unit: Unit, range_m: Array, reflectivity: Bytes) -> Flags:
     return np.asarray(same | ~inside.all(axis=1))
 
 
+def fired_ns(unit: Unit, batch: Batch, range_m: Array) -> Times:
+    """(N, R): when the firings were, of whose returns ranges (N, R) are: near ones may have one of their own."""
+    firings = batch.firings
+    time_ns = np.broadcast_to(firings.time_ns[:, None], range_m.shape)
+    if unit.facts.firing.near is None or batch.loop is None:
+        return time_ns
+    later_ns = (unit.near_ns - unit.offset_ns)[np.repeat(batch.loop.ravel(), unit.lasers.shape[1]), firings.laser]
+    is_near = np.rint(range_m / unit.resolution_m) * unit.resolution_m < unit.near_m
+    return np.where(is_near, time_ns + later_ns[:, None], time_ns)
+
+
 def _head(unit: Unit, packets: Packets, dual: bool) -> None:
     header = packets["header"]
     protocol = unit.facts.packet.protocol
     header["start"] = START
-    header["reserved"] = RESERVED[protocol]
-    header["flags"] = FLAGS[protocol]
+    header["model"] = unit.facts.packet.header_model
+    header["flags"] = unit.facts.packet.header_flags
     header["major"], header["minor"] = map(int, protocol.split("."))
     header["lasers"] = unit.count
     header["blocks"] = unit.facts.packet.blocks
@@ -129,19 +146,22 @@ def _loops(unit: Unit, laser: Bytes) -> Times:
 
 def write_safety(packets: Packets, stamp_ns: Times) -> None:
     """Write the functional safety of packets (P,) without a fault, then the checksums. `stamp_ns` is (P,)."""
-    safety = packets["safety"]
-    safety["version"] = VERSION
-    safety["state"] = stamp_ns // COUNTER_NS % COUNTERS
+    assert packets.dtype.names
+    if "safety" in packets.dtype.names:
+        safety = packets["safety"]
+        safety["version"] = VERSION
+        safety["state"] = stamp_ns // COUNTER_NS % COUNTERS
     write_checksums(packets)
 
 
 def write_checksums(packets: Packets) -> None:
-    """Write the checksums of packets (P,): body, functional safety without its version, and tail."""
+    """Write the checksums of packets (P,): body, functional safety without its version if there is any, and tail."""
     fields = packets.dtype.fields
     assert fields
     data = bytes_of(packets)
     at = {key: value[1] for key, value in fields.items()}
     packets["body_crc"] = core.crc32_mpeg2(data, HEADER.itemsize, at["body_crc"])
-    end = at["safety"] + SAFETY.itemsize - 4
-    packets["safety"]["crc"] = core.crc32_mpeg2(data, at["safety"] + 1, end)
+    if "safety" in at:
+        end = at["safety"] + SAFETY.itemsize - 4
+        packets["safety"]["crc"] = core.crc32_mpeg2(data, at["safety"] + 1, end)
     packets["tail_crc"] = core.crc32_mpeg2(data, at["status"], at["tail_crc"])

@@ -1,6 +1,7 @@
-"""Hesai's packets, byte by byte: protocol 6.1 (PandarXT and XT32M2X) and 3.2 (QT128C2X). All is little endian.
+"""Hesai's packets, byte by byte; all is little endian.
 
-Layout: PandarXT, XT32M2X and QT128C2X user manuals, sections 3.1; Nebula's decoders; recordings.
+Protocol 6.1 (PandarXT, XT32M2X) and 3.2 (QT128C2X): their user manuals, sections 3.1; Nebula's decoders; recordings.
+Protocol 1.4 (Pandar128, OT128, JT128): Hesai's SDK 2.0, udp_protocol_v1_4.h; Nebula; Pandar128 User Manual, section 3.
 """
 
 import math
@@ -13,13 +14,14 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.units import SECOND_NS
 
-Protocol = Literal["6.1", "3.2"]
+Protocol = Literal["6.1", "3.2", "1.4"]
 Packets = NDArray[np.void]
 
 START = b"\xee\xff"
 HEADER = np.dtype(
     [
-        *[("start", "S2"), ("major", "u1"), ("minor", "u1"), ("reserved", "<u2"), ("lasers", "u1"), ("blocks", "u1")],
+        *[("start", "S2"), ("major", "u1"), ("minor", "u1"), ("model", "u1"), ("reserved", "u1")],
+        *[("lasers", "u1"), ("blocks", "u1")],
         *[("first_return", "u1"), ("unit_mm", "u1"), ("returns", "u1"), ("flags", "u1")],
     ]
 )
@@ -36,8 +38,17 @@ TAIL = np.dtype(
         *[("factory", "u1"), ("sequence", "<u4")],
     ]
 )
+IMU = np.dtype([("temperature", "<i2"), ("units", "<u2", (2,)), ("time", "<u4"), ("rates", "<i2", (6,))])
+
+SEQUENCE = 0x01  # parts of a packet that the header's flags say
+INERTIAL = 0x02
+SAFE = 0x04
+SIGNED = 0x08
+MORE = (0x10, 0x20, 0x40)  # after each reflectivity a byte: confidence, weight factor, environment light
 FLAGS = {"6.1": 0x01, "3.2": 0x1D}  # sequence; and functional safety, signature, confidence
-RESERVED = {"6.1": 0, "3.2": 3}  # of the header, as recorded
+MODEL = {"6.1": 0, "3.2": 3}  # of the header, as recorded
+HIGH_RESOLUTION = 0  # operational states of protocol 1.4
+STANDARD = 2
 FACTORY = 0x42
 FIRST_LAST = 1  # the header's first return with dual returns, as recorded; the manuals call it reserved
 
@@ -76,8 +87,13 @@ BASE_YEAR = 1900
 
 
 @lru_cache
-def packet(protocol: Protocol, lasers: int, blocks: int) -> np.dtype[np.void]:
-    """The dtype of a packet with this many lasers and blocks, and with a UDP sequence number."""
+def packet(protocol: Protocol, lasers: int, blocks: int, flags: int = 0) -> np.dtype[np.void]:
+    """The dtype of a packet with this many lasers and blocks; in protocol 1.4 with the parts that its flags say.
+
+    Raises ValueError for flags of protocol 1.4 without a UDP sequence number.
+    """
+    if protocol == "1.4":
+        return _packet_1_4(lasers, blocks, flags)
     block = np.dtype([("azimuth", "<u2"), ("returns", RETURN, (lasers,))])
     head = [("header", HEADER), ("blocks", block, (blocks,))]
     if protocol == "6.1":
@@ -85,6 +101,41 @@ def packet(protocol: Protocol, lasers: int, blocks: int) -> np.dtype[np.void]:
     safety = [("body_crc", "<u4"), ("safety", SAFETY), ("status", "u1", (5,)), ("mode_flag", "u1")]
     end = [("tail_crc", "<u4"), ("signature", "u1", (32,))]
     return np.dtype([*head, *safety, ("counters", "u1", (6,)), ("tail", TAIL), *end])
+
+
+def _packet_1_4(lasers: int, blocks: int, flags: int) -> np.dtype[np.void]:
+    if not flags & SEQUENCE:
+        raise ValueError(f"flags 0x{flags:02X} are without a UDP sequence")
+    more = sum(flags & flag > 0 for flag in MORE)
+    value = np.dtype([("distance", "<u2"), ("reflectivity", "u1"), *([("more", "u1", (more,))] if more else [])])
+    block = np.dtype([("azimuth", "<u2"), ("returns", value, (lasers,))])
+    return np.dtype(
+        [
+            *[("header", HEADER), ("blocks", block, (blocks,)), ("body_crc", "<u4")],
+            *([("safety", SAFETY)] if flags & SAFE else []),
+            *[("status", "u1", (9,)), ("azimuth_state", "<u2"), ("operational_state", "u1"), ("tail", TAIL)],
+            *([("imu", IMU)] if flags & INERTIAL else []),
+            ("tail_crc", "<u4"),
+            *([("signature", "u1", (32,))] if flags & SIGNED else []),
+        ]
+    )
+
+
+def return_bytes(packets: np.dtype[np.void]) -> int:
+    """The size of one return in packets of this dtype."""
+    return packets["blocks"].base["returns"].base.itemsize
+
+
+def azimuth_states(packets: Packets) -> NDArray[np.uint8]:
+    """(P, B): each block's in packets of protocol 1.4, of which there are eight at most; from the top two bits down."""
+    shift = 14 - 2 * np.arange(packets["blocks"].shape[1], dtype=np.uint16)
+    return (packets["azimuth_state"][:, None] >> shift & 3).astype(np.uint8)
+
+
+def azimuth_state_of(states: NDArray[np.integer]) -> NDArray[np.uint16]:
+    """(P,): the inverse, of (P, B)."""
+    shift = 14 - 2 * np.arange(states.shape[1])
+    return np.asarray((states.astype(np.int64) << shift).sum(axis=1), np.uint16)
 
 
 def bytes_of(packets: Packets) -> Bytes:

@@ -11,7 +11,7 @@ from lidarcfg.config.models import Model, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.facts import Header, Network, SensorInstance
-from lidarcfg.packets.hesai.layout import Packets, Protocol, packet
+from lidarcfg.packets.hesai.layout import FLAGS, HIGH_RESOLUTION, MODEL, SEQUENCE, STANDARD, Packets, Protocol, packet
 from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import revolutions
@@ -19,6 +19,7 @@ from lidarcfg.sensors.sensor import Byte, Sensor
 from lidarcfg.units import MINUTE_NS
 
 Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]
+Resolution = Literal["standard", "high"]
 PairMode = Literal["dual", "first-last", "first-strongest", "two-strongest"]
 Which = Literal["first", "last", "strongest", "second"]
 COLUMNS: dict[str, tuple[Which, Which]] = {  # which returns `Codec.encode` is given
@@ -28,6 +29,14 @@ COLUMNS: dict[str, tuple[Which, Which]] = {  # which returns `Codec.encode` is g
     "two-strongest": ("strongest", "second"),
 }
 Loop = tuple[Nanoseconds | None, ...]
+Loops = Annotated[tuple[Loop, ...], Field(min_length=1, max_length=4)]
+
+
+class NearFiring(Model):
+    """When lasers fire for what is near: some have a firing of its own for that."""
+
+    below_m: Annotated[float, Field(gt=0, le=1e3)]  # returns from nearer are of these
+    loops: Loops
 
 
 class Firing(Model):
@@ -35,8 +44,9 @@ class Firing(Model):
 
     source: str = ""
     period_ns: Annotated[int, Field(gt=0, le=10**9)]  # from one firing of all lasers to the next
-    stamp_ns: Nanoseconds  # from the packet's stamp to the start of its last firing of all lasers
-    loops: Annotated[tuple[Loop, ...], Field(min_length=1, max_length=2)]  # by laser, after that start; none: it rests
+    stamp_ns: Annotated[int, Field(ge=-(10**9), le=10**9)]  # from the packet's stamp to the start of its last firing
+    loops: Loops  # by laser, after that start; none: it rests
+    near: NearFiring | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "Firing":
@@ -45,7 +55,14 @@ class Firing(Model):
                 raise validation_error(f"a firing lies beyond the period's {self.period_ns} ns", "loops", i)
         if len({sum(offset is not None for offset in loop) for loop in self.loops}) > 1:
             raise validation_error("the loops have different numbers of lasers that fire", "loops")
+        if self.near and rests(self.near.loops) != rests(self.loops):
+            raise validation_error("other lasers rest than in firing.loops", "near", "loops")
         return self
+
+
+def rests(loops: tuple[Loop, ...]) -> list[list[bool]]:
+    """Which lasers do not fire in each loop."""
+    return [[offset is None for offset in loop] for loop in loops]
 
 
 class Pair(Model):
@@ -68,7 +85,33 @@ class Packet(Model):
     protocol: Protocol
     blocks: Annotated[int, Field(ge=2, le=64, multiple_of=2)]
     pairs: tuple[Pair, ...] = (Pair(mode="dual", blocks=("last", "strongest")),)  # the modes with two returns
-    confidence: Byte  # the fourth byte of each return
+    confidence: Byte = 0  # the fourth byte of each return
+    flags: Byte | None = None  # in protocol 1.4: which parts it has
+    models: tuple[Byte, Byte] | None = None  # in protocol 1.4: byte 4, from and to, tells the model; the first is sent
+    speed_unit_rpm: Annotated[float, Field(gt=0, le=100)] = 1.0
+    least_units: Annotated[int, Field(ge=1, le=1000)] = 1  # shorter distances are marks of the sensor and no returns
+
+    @model_validator(mode="after")
+    def _check(self) -> "Packet":
+        if self.protocol != "1.4":
+            return self
+        if self.flags is None or not self.flags & SEQUENCE:
+            raise validation_error("in protocol 1.4 an odd number: packets have a UDP sequence", "flags")
+        if self.models is None or self.models[0] > self.models[1]:
+            raise validation_error("in protocol 1.4 two numbers, the second no less than the first", "models")
+        if self.blocks > 8:
+            raise validation_error("in protocol 1.4 at most 8", "blocks")
+        return self
+
+    @property
+    def header_model(self) -> int:
+        """Byte 4 of what is sent."""
+        return self.models[0] if self.models else MODEL[self.protocol]
+
+    @property
+    def header_flags(self) -> int:
+        """The header's flags of what is sent."""
+        return FLAGS[self.protocol] if self.flags is None else self.flags
 
 
 class Headers(Network):
@@ -82,21 +125,41 @@ class Facts(Model):
     """The key `hesai` of a sensor's file."""
 
     firing: Firing
+    high_resolution: Firing | None = None  # the same in that mode
     packet: Packet
     headers: Headers
 
+    @model_validator(mode="after")
+    def _check(self) -> "Facts":
+        if self.high_resolution is None:
+            return self
+        if self.packet.protocol != "1.4":
+            raise validation_error("only packets of protocol 1.4 say their resolution", "high_resolution")
+        near = [firing.near and firing.near.below_m for firing in (self.firing, self.high_resolution)]
+        if near[0] != near[1]:
+            raise validation_error(f"near is below {near[1]} m, but {near[0]} m in firing", "high_resolution")
+        return self
+
 
 class Settings(Model):
-    """The key `hesai` of a mount in a rig's file; it has no keys yet."""
+    """The key `hesai` of a mount in a rig's file."""
+
+    resolution: Resolution = "standard"
 
 
 class Unit(SensorInstance[Facts]):
-    """A sensor with the facts of its packets."""
+    """A sensor with the facts of its packets, in one resolution."""
 
     @property
     def dtype(self) -> np.dtype[np.void]:
         """Its packet."""
-        return packet(self.facts.packet.protocol, self.count, self.facts.packet.blocks)
+        packet_facts = self.facts.packet
+        return packet(packet_facts.protocol, self.count, packet_facts.blocks, packet_facts.header_flags)
+
+    @property
+    def operational_state(self) -> int:
+        """What packets of protocol 1.4 say of the resolution."""
+        return HIGH_RESOLUTION if self.facts.firing is self.facts.high_resolution else STANDARD
 
     @property
     def unit_mm(self) -> int:
@@ -135,6 +198,19 @@ class Unit(SensorInstance[Facts]):
         """(loops, L): when, after the start; 0 where it rests."""
         return np.array([[offset or 0 for offset in loop] for loop in self.facts.firing.loops], np.int64)
 
+    @property
+    def near_ns(self) -> Times:
+        """(loops, L): `offset_ns` for returns from what is nearer than `near_m`."""
+        near = self.facts.firing.near
+        loops = near.loops if near else self.facts.firing.loops
+        return np.array([[offset or 0 for offset in loop] for loop in loops], np.int64)
+
+    @property
+    def near_m(self) -> float:
+        """Which returns are near ones: those from nearer than this."""
+        near = self.facts.firing.near
+        return near.below_m if near else 0.0
+
     def group_ns(self, dual: bool) -> Times:
         """(G,): when each firing of all lasers starts, after the packet's stamp."""
         before = np.arange(1 - self.groups(dual), 1)
@@ -148,7 +224,9 @@ class Unit(SensorInstance[Facts]):
     @property
     def driver_lag_ns(self) -> Times:
         """(loops, L): how long the head turns before a laser fires, by Hesai's firing time file; 0 where it rests."""
-        start_ns = 0 if self._counts_from_start else self.facts.firing.stamp_ns
+        start_ns = (
+            self.facts.firing.stamp_ns if self.facts.packet.protocol == "6.1" else 0
+        )  # else after the block's start
         return np.where(self.fires, self.offset_ns + start_ns, 0)
 
     @property
@@ -163,40 +241,71 @@ class Unit(SensorInstance[Facts]):
 
 @lru_cache(64)
 def unit(sensor: Sensor) -> Unit:
-    """The sensor with the key `hesai` of its file. Raises ConfigError with file, line and key."""
+    """The sensor with the key `hesai` of its file, in its standard resolution.
+
+    Raises ConfigError with file, line and key.
+    """
     section = sensor.section
     facts = section.checked(Facts)
-    for i, loop in enumerate(facts.firing.loops):
-        if len(loop) != sensor.count:
-            raise section.error(("firing", "loops", i), f"has {len(loop)} values; allowed: {sensor.count}, one a beam")
+    for name, firing in (("firing", facts.firing), ("high_resolution", facts.high_resolution)):
+        for i, loop in enumerate(firing.loops if firing else ()):
+            if len(loop) != sensor.count:
+                what = f"has {len(loop)} values; allowed: {sensor.count}, one a beam"
+                raise section.error((name, "loops", i), what)
     if sensor.count > 255:
         raise ConfigError(f"sensor {sensor.name!r} has {sensor.count} beams; a header says 255 at most")
     return Unit(sensor, facts)
 
 
+@lru_cache(64)
+def sending(unit: Unit, flags: int, model: int | None = None) -> Unit:
+    """The unit, of protocol 1.4, with these flags in its packets' header, and with that byte 4."""
+    facts = unit.facts.packet
+    models = facts.models if model is None else (model, model)
+    changed = facts.model_copy(update={"flags": flags, "models": models})
+    return Unit(unit.sensor, unit.facts.model_copy(update={"packet": changed}))
+
+
+@lru_cache(64)
+def resolutions(unit: Unit) -> tuple[Unit, ...]:
+    """The unit in its standard resolution and, if it has it, in its high one."""
+    high = unit.facts.high_resolution
+    return (unit, Unit(unit.sensor, unit.facts.model_copy(update={"firing": high}))) if high else (unit,)
+
+
+def unit_of(unit: Unit, mount: Mount) -> Unit:
+    """The unit in the resolution of a mount. Raises ConfigError with file, line and key."""
+    if mount.settings.checked(Settings).resolution == "standard":
+        return unit
+    if unit.facts.high_resolution is None:
+        raise mount.settings.error(("resolution",), f"'high' is not allowed; a {unit.name} has only standard")
+    return resolutions(unit)[1]
+
+
 def batches(unit: Unit, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
     """The firings of so many packets' time, `chunk` packets at a time.
 
-    Packet 0's lasers start to fire `stamp_ns` after `start_ns`. With an azimuth field of view, packets are sent in
-    which some firing lies within it.
+    Packet 0's lasers start to fire `stamp_ns` after `start_ns`, or at it if their stamp is later. With an azimuth field
+    of view, packets are sent in which some firing lies within it.
     """
     sent = 0
     longest_ns = int(unit.offset_ns.max())
     for first in range(0, packets, chunk):
         numbers = range(first, min(first + chunk, packets))
-        fired, stamp_ns, inside = _firings(unit, mount, start_ns, numbers)
-        ends_ns = stamp_ns + unit.facts.firing.stamp_ns + longest_ns
+        fired, loop, stamp_ns, inside = _firings(unit, mount, start_ns, numbers)
+        ends_ns = stamp_ns + max(unit.facts.firing.stamp_ns + longest_ns, 0)
         if mount.azimuth_fov_deg is not None:
             some = inside.any(axis=1)
             rows = np.repeat(some, inside.shape[1] * unit.lasers.shape[1])
             fired = Firings(fired.time_ns[rows], fired.laser[rows], fired.encoder_rad[rows])
+            loop = loop[some]
             ends_ns = ends_ns[some]
-        yield Batch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000)
+        yield Batch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000, loop)
         sent += len(ends_ns)
 
 
-def _firings(unit: Unit, mount: Mount, start_ns: int, numbers: range) -> tuple[Firings, Times, Flags]:
-    """Of the packets with these numbers: firings, stamps (P,), and which groups (P, G) are within the field of view.
+def _firings(unit: Unit, mount: Mount, start_ns: int, numbers: range) -> tuple[Firings, Times, Times, Flags]:
+    """Of the packets with these numbers: firings, which loop groups (P, G) are of, stamps (P,), and what is in view.
 
     All lasers of a group fire where the head is at its start, as the group's azimuth says.
     """
@@ -204,7 +313,8 @@ def _firings(unit: Unit, mount: Mount, start_ns: int, numbers: range) -> tuple[F
     groups = unit.groups(dual)
     period_ns = unit.period_ns(dual)
     first_ns = start_ns + np.array(numbers, np.int64) * period_ns
-    starts_ns = unit.facts.firing.stamp_ns + np.arange(groups) * unit.facts.firing.period_ns
+    after_ns = max(unit.facts.firing.stamp_ns, 0)  # nothing fires before the start
+    starts_ns = after_ns + np.arange(groups) * unit.facts.firing.period_ns
     begun = revolutions(mount.rpm, period_ns, start_ns, numbers, mount.phase_deg)
     turn = begun[:, None] + starts_ns * (mount.rpm / MINUTE_NS)
     encoder_rad = (turn - np.floor(turn)) * (2 * np.pi)
@@ -218,8 +328,8 @@ def _firings(unit: Unit, mount: Mount, start_ns: int, numbers: range) -> tuple[F
         laser=lasers.astype(np.uint8)[loop].ravel(),
         encoder_rad=np.repeat(encoder_rad, lasers.shape[1]),
     )
-    stamp_ns = first_ns + (groups - 1) * unit.facts.firing.period_ns
-    return fired, stamp_ns, within(mount, encoder_rad)
+    stamp_ns = first_ns + starts_ns[-1] - unit.facts.firing.stamp_ns
+    return fired, loop, stamp_ns, within(mount, encoder_rad)
 
 
 def within(mount: Mount, encoder_rad: Array) -> Flags:

@@ -1,4 +1,4 @@
-"""Angle correction files: each unit's own angles as CSV, which the packets do not carry."""
+"""Angle correction and firing time files, which Hesai's SDK reads: the packets do not carry what they hold."""
 
 import re
 from collections.abc import Mapping
@@ -7,11 +7,13 @@ from pydantic import ValidationError
 
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Source
-from lidarcfg.packets.hesai.model import Unit
+from lidarcfg.packets.hesai.model import Firing, Unit, resolutions
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Beams
 
 SUFFIX = "-angles.csv"
+FIRING_TIMES = "-firetimes.csv"
+ENERGY_SAVING = 3  # an operational state of the Pandar128
 NAMED = re.compile(r"-\d+\.\d+\.\d+\.\d+-\d+-angles\.csv$")  # whose they are, by address and port
 ROW = re.compile(r"\s*(\d+)\s*,\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*,?\s*")
 NO_ANGLE = re.compile(r"\s*\d+\s*,.*?([-+]?\b(?:nan|inf|infinity))\b.*", re.IGNORECASE)
@@ -31,6 +33,59 @@ def correction_file(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
     """The mount's angles, by the suffix of the file's name."""
     lines = correction_lines(unit)
     return {f"-{mount.host}-{mount.data_port}{SUFFIX}": "\n".join([*lines, ""]).encode()}
+
+
+def firing_times_file(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
+    """The firing times of a sensor of protocol 1.4 as Hesai's own files have them, by the suffix of the file's name.
+
+    Those of a JT128 have one time for each channel, those of an OT128 one for each state, in microseconds; those of a
+    Pandar128 far and near ones, in nanoseconds. A channel that rests has "-", or 0.
+    """
+    if unit.facts.packet.protocol != "1.4":
+        return {}
+    firings = {one.operational_state: one.facts.firing for one in reversed(resolutions(unit))}
+    if unit.facts.firing.near:
+        firings[ENERGY_SAVING] = unit.facts.firing  # in which it fires as in the standard one: Hesai's file
+        lines = _near_and_far(firings)
+    elif len(unit.fires) > 1 or len(firings) > 1:
+        lines = _by_state(firings)
+    else:
+        lines = ["channel,firetime/us", *(f"{k},{_us(ns)}" for k, ns in enumerate(unit.facts.firing.loops[0], 1))]
+    return {f"-{mount.host}-{mount.data_port}{FIRING_TIMES}": "\n".join([*lines, ""]).encode()}
+
+
+def _us(offset_ns: int | None) -> str:
+    return "-" if offset_ns is None else f"{offset_ns / 1000:g}"
+
+
+def _by_state(firings: Mapping[int, Firing]) -> list[str]:
+    states = [(mode, state) for mode, firing in firings.items() for state in range(len(firing.loops))]
+    rows = zip(*(loop for firing in firings.values() for loop in firing.loops), strict=True)
+    return [
+        ",".join(["Operational State", *(str(mode) for mode, _ in states)]),
+        ",".join(["Azimuth State", *(str(state) for _, state in states)]),
+        *(",".join([str(k), *map(_us, row)]) for k, row in enumerate(rows, 1)),
+    ]
+
+
+def _near_and_far(firings: Mapping[int, Firing]) -> list[str]:
+    below_m = 0.0
+    modes = list[str]()
+    states = list[str]()
+    columns = list[tuple[int | None, ...]]()
+    for mode, firing in firings.items():
+        assert firing.near
+        below_m = firing.near.below_m
+        for state, pair in enumerate(zip(firing.loops, firing.near.loops, strict=True)):
+            modes += [str(mode)] * 2
+            states += [str(state)] * 2
+            columns += pair
+    return [
+        ",".join([f"{below_m:g}", *["distance>=A1", "distance<A1"] * (len(columns) // 2)]),
+        ",".join(["operation mode", *modes]),
+        ",".join(["angle state", *states]),
+        *(",".join([str(k), *(str(ns or 0) for ns in row)]) for k, row in enumerate(zip(*columns, strict=True), 1)),
+    ]
 
 
 def find_corrections(source: Source, count: int) -> Beams | None:
