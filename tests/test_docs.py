@@ -51,6 +51,7 @@ SUBSTITUTIONS = [
     (r"^(optimize (?!.*--evaluations).*)$", r"\1 --evaluations 40"),
     (r"--duration [\d.]+", "--duration 0.1"),
     (r"--tolerance [\d.]+", "--tolerance 0.1"),
+    (r"^(replay .*) --emulate --loop$", r"\1"),  # whose ports need a right to them: tests/capture/test_emulation.py
     (r"^(replay .*?)( --speed [\d.]+x?)?( --from .*)?$", r"\1 --speed 100\3"),
     (r"^(view (?!.*(--html|--png|--window)).*)$", r"\1 --html out/page.html"),
 ]
@@ -287,6 +288,7 @@ def test_yaml_on_a_page_is_what_it_looks_like(page, tmp_path):
             "vary": PlanFile,
             "region": StudyFile,
             "beams": Sensor,
+            "scan_pattern": Sensor,
             "target": ScenarioFile,
             "sensors": RigFile,
             "ground": SceneFile,

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from lidarcfg.clouds.cloud import PointCloud, read_arrays
 from lidarcfg.errors import CloudError
-from lidarcfg.sensors.firing import LAST, SECOND
+from lidarcfg.sensors.firing import FIRST, LAST, SECOND, STRONGEST
 from lidarcfg.sensors.rig import Rig
 
 AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
 LATEST_NS = 2**42  # span of a ground-truth file: 73 minutes; with sensor, ring and return it makes one int64
+KINDS = 4  # of returns
 NAMES = ("sensor_names", "object_names")
 COLUMNS = ("sensor", "time_ns", "laser", "return_type", "object")
 OTHER = "rain, fog or unknown"
@@ -54,7 +55,13 @@ class GroundTruth:
         ring = _rings(path, sensors, rig)
         if len(record["time_ns"]) == 0:
             raise CloudError(f"{path}: no return has an object")
-        for key, first, end in (("sensor", 0, len(sensors)), ("object", -1, len(names)), ("laser", 0, ring.shape[1])):
+        limits = {
+            "sensor": (0, len(sensors)),
+            "object": (-1, len(names)),
+            "laser": (0, ring.shape[1]),
+            "return_type": (0, KINDS),
+        }
+        for key, (first, end) in limits.items():
             if not ((record[key] >= first) & (record[key] < end)).all():
                 raise CloudError(f"{path}: {key} holds a number outside {first} to {end - 1}")
         start_ns = int(record["time_ns"].min()) - 2 * AWAY_NS
@@ -62,8 +69,9 @@ class GroundTruth:
             raise CloudError(f"{path}: is longer than {LATEST_NS / 6e10:.0f} minutes")
         by_strength = np.zeros(len(sensors) + 1, np.bool_)
         by_strength[record["sensor"][record["return_type"] == SECOND]] = True
-        second = np.isin(record["return_type"], (LAST, SECOND))
-        known = _key(record["sensor"], ring[record["sensor"], record["laser"]], second, record["time_ns"] - start_ns)
+        by_strength[record["sensor"][np.isin(record["return_type"], (FIRST, LAST))]] = False
+        kind = _kind(record["return_type"], by_strength[record["sensor"]])
+        known = _key(record["sensor"], ring[record["sensor"], record["laser"]], kind, record["time_ns"] - start_ns)
         order = np.argsort(known)
         return cls(path, names, sensors, by_strength, start_ns, known[order], record["object"][order].astype(np.int64))
 
@@ -75,8 +83,7 @@ class GroundTruth:
         )
         since_ns = np.clip(cloud.time_ns - self.start_ns, 0, 2 * LATEST_NS - 2 * AWAY_NS)
         by_strength = self.by_strength[sensor[cloud.sensor]]
-        second = (cloud.return_type == LAST) | ((cloud.return_type == SECOND) & by_strength)
-        wanted = _key(sensor[cloud.sensor], cloud.ring, second, since_ns)
+        wanted = _key(sensor[cloud.sensor], cloud.ring, _kind(cloud.return_type, by_strength), since_ns)
         known = self.known
         after = np.searchsorted(known, wanted).clip(1, len(known) - 1) if len(known) > 1 else np.zeros_like(wanted)
         near = np.where(wanted - known[after - 1] < known[after] - wanted, after - 1, after)
@@ -127,10 +134,15 @@ def with_objects(path: Path, cloud: PointCloud, rig: Rig) -> PointCloud:
     return replace(cloud, object=np.where(known, found.index, -1).astype(np.int32), object_names=found.names[:-1])
 
 
+def _kind(return_type: NDArray[np.generic], by_strength: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Which of a firing's returns: of a pair with a first or a last, the second strongest stands for the strongest."""
+    return np.where((return_type == SECOND) & ~by_strength, STRONGEST, return_type).astype(np.int64) % KINDS
+
+
 def _key(
-    sensor: NDArray[np.generic], ring: NDArray[np.generic], second: NDArray[np.bool_], since_ns: NDArray[np.int64]
+    sensor: NDArray[np.generic], ring: NDArray[np.generic], kind: NDArray[np.int64], since_ns: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """One number per return; two are close only if sensor, ring and return are the same."""
-    high = (np.asarray(sensor, np.int64) * 256 + np.asarray(ring, np.int64)) * 2 + second
+    """One number per return; two are close only if sensor, ring and kind are the same."""
+    high = (np.asarray(sensor, np.int64) * 256 + np.asarray(ring, np.int64)) * KINDS + kind
     key: NDArray[np.int64] = high * (2 * LATEST_NS) + since_ns
     return key

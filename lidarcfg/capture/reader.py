@@ -20,6 +20,7 @@ from lidarcfg.sensors.sensor import Sensor
 
 CHUNK_PACKETS = 1024
 CHUNK_BYTES = 1 << 21  # of packets
+SENSORS_MAX = 10_000  # of a capture that are decoded together; each takes memory and time of its own
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,8 @@ class CaptureReader:
                     waiting = 0
                     waiting_bytes = 0
         chunk = self._take(last=True)
+        for warning in self._sources.strangers:
+            self._on_warning(warning)
         self._check_found()
         for stream in self._selected:
             if stream.damaged:
@@ -97,6 +100,8 @@ class CaptureReader:
             for key in dict.fromkeys(keys.tolist()):
                 self._streams[key] = None
                 parts.setdefault(key, []).append(found[keys == key])
+        for warning in self._sources.strangers:
+            self._on_warning(warning)
         self._check_found()
         return [self._recording(key, batches) for key, batches in parts.items()]
 
@@ -126,7 +131,8 @@ class CaptureReader:
 
     def _take(self, last: bool) -> list[Packets]:
         """The packets that each stream can give now."""
-        return [packets for stream in self._selected if (packets := stream.take(self._sensor_names, last))]
+        streams = [stream for stream in self._selected if last or stream.fresh]
+        return [packets for stream in streams if (packets := stream.take(self._sensor_names, last))]
 
     def _stream(self, key: int) -> Stream | None:
         """The stream of a new source: with a rig, of the mount at its address; None if the source is not selected."""
@@ -139,6 +145,9 @@ class CaptureReader:
             return None
         if mount is None:
             index = len(self._sensor_names)
+            if index == SENSORS_MAX:
+                what = f"LiDAR packets of more than {SENSORS_MAX:,} addresses and ports"
+                raise PacketError(f"{self._path}: {what}; allowed: {SENSORS_MAX:,}, or the few that --sensor names")
             self._sensor_names = (*self._sensor_names, name)
         sender = Sender(
             where=f"{self._path}: {name}",

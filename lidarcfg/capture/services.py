@@ -6,12 +6,13 @@ greatest number of connections.
 
 import asyncio
 import errno
+import signal
 import socket
 import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from threading import Thread
-from typing import Any
+from typing import Any, cast
 
 from lidarcfg.errors import ConfigError, one_line, reason
 from lidarcfg.packets.emulator import RequestError, Service, Target
@@ -59,13 +60,18 @@ class Services:
         self._loop.close()
 
     def _run(self) -> None:
+        if hasattr(signal, "pthread_sigmask"):  # a client that is gone must not end the command, as a reader's end does
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
         self._loop.run_until_complete(self._serve())
 
     async def _serve(self) -> None:
-        for port in self._ports:
-            await port.open()
-        self._running.set_result(None)
-        await self._stop.wait()
+        try:
+            for port in self._ports:
+                await port.open()
+            self._running.set_result(None)
+            await self._stop.wait()
+        except OSError as error:
+            self._running.set_exception(error)
         for port in self._ports:
             port.close()
         await asyncio.sleep(0)  # transports close in the loop's next turn
@@ -257,8 +263,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._full = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.DatagramTransport)
-        self._transport = transport
+        self._transport = cast(asyncio.DatagramTransport, transport)  # of which Python 3.11 derives none
 
     def pause_writing(self) -> None:
         self._full = True

@@ -6,7 +6,7 @@ can sort datagrams by it.
 
 import socket
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from glob import escape
 from pathlib import Path
@@ -45,11 +45,18 @@ class Sources:
         self._mounts = rig.mounts if rig else ()
         self._model = load_sensor(model) if model else None
         self._catalogue = cache(_catalogued)
+        self._sidecar_files = cache(partial(_sidecar_files, path))
         self._families: dict[int, str | None] = {}  # by source; None: it is no LiDAR
+        self._at: dict[int, int] = {}  # the first LiDAR's source of an address and port
+        self._others: dict[int, str] = {}  # the families of LiDARs' packets that are not the given sensor's, by source
+        self._skipped: Counter[int] = Counter()  # how many of these came, by source
         self.other_sizes: Counter[int] = Counter()  # how many datagrams of which sizes are no LiDAR's
 
     def lidar(self, batch: Datagrams) -> tuple[Datagrams, NDArray[np.uint64]]:
-        """The datagrams that hold a LiDAR's returns, and the source of each."""
+        """The datagrams that hold a LiDAR's returns, and the source of each.
+
+        Raises PacketError if packets of two makers come from one address to one port.
+        """
         host, port, size = (column.astype(np.uint64) for column in (batch.host, batch.port, batch.size))
         keys = np.asarray(host << 32 | port << 16 | size, np.uint64)
         sources, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
@@ -59,20 +66,48 @@ class Sources:
             for key, count, end in zip(sources.tolist(), counts.tolist(), ends.tolist(), strict=True):
                 if key not in self._families:
                     rows = order[end - count : end][:EXAMINED].tolist()
-                    payloads = (batch.data[batch.start[i] : batch.start[i] + batch.size[i]].tobytes() for i in rows)
-                    self._families[key] = next(filter(None, (self._find_family(key, one) for one in payloads)), None)
+                    payloads = [batch.data[batch.start[i] : batch.start[i] + batch.size[i]].tobytes() for i in rows]
+                    self._add_source(key, payloads)
+        if self._others:
+            here = dict(zip(sources.tolist(), counts.tolist(), strict=True))
+            self._skipped.update({key: here[key] for key in self._others.keys() & here.keys()})
         is_lidar = np.array([self._families[key] is not None for key in sources.tolist()], np.bool_)[inverse]
         self.other_sizes.update(batch.size[~is_lidar].tolist())
         return batch[is_lidar], keys[is_lidar]
 
-    def _find_family(self, key: int, payload: bytes) -> str | None:
-        """The given sensor's family, or the first that matches the payload; None if none does."""
+    @property
+    def strangers(self) -> Iterator[str]:
+        """Warnings of LiDARs' packets that were skipped, as they are not the given sensor's."""
+        for key, count in sorted(self._skipped.items()):
+            given = self._given(key)
+            assert given
+            what = f"{count} packets of {self._others[key]} ({_size(key)} bytes) are skipped"
+            yield f"{self._path}: {endpoint_name(key)}: {what}: they are not {given.name}'s"
+
+    def _add_source(self, key: int, payloads: Sequence[bytes]) -> None:
+        """Find the family of a new source by its first packets: the given sensor's, or the first that matches."""
         given = self._given(key)
         if given:
             codec(given)  # raises ConfigError for a sensor without packets
+        found = self._find_family(key, payloads, [given.codec or ""] if given else FAMILIES)
+        if given and not found:
+            if other := self._find_family(key, payloads, FAMILIES):
+                self._others[key] = other
+        elif found:
+            first = self._at.setdefault(key >> 16, key)
+            if first != key and self._families[first] != found:
+                both = f"{self._families[first]} ({_size(first)} bytes) and {found} ({_size(key)} bytes)"
+                raise PacketError(f"{self._path}: {endpoint_name(key)} sends packets of two makers: {both}")
+        self._families[key] = found
+
+    def _find_family(self, key: int, payloads: Sequence[bytes], names: Iterable[str]) -> str | None:
+        """The first of these families that matches one of the payloads; None if none does."""
         source = self.source(key)
-        names = [given.codec or ""] if given else FAMILIES  # each loaded when it is its turn
-        return next((name for name in names if family(name).matches(source, len(payload), payload)), None)
+        for payload in payloads:
+            for name in names:  # each loaded when it is its turn
+                if family(name).matches(source, len(payload), payload):
+                    return name
+        return None
 
     def family_of(self, key: int) -> str:
         """The name of the family of a LiDAR's packets."""
@@ -97,7 +132,7 @@ class Sources:
             where=f"{self._path}: {endpoint_name(key)}",
             host=host,
             port=port,
-            sidecar_files=partial(_sidecar_files, self._path),
+            sidecar_files=self._sidecar_files,
             payloads=partial(_payloads, self._path, host),
             on_warning=self._on_warning,
             driver_view=self._driver_view,
@@ -122,6 +157,11 @@ def endpoint_name(key: int) -> str:
     """A source's host:port."""
     host, port = _endpoint(key)
     return f"{host}:{port}"
+
+
+def _size(key: int) -> int:
+    """The size of a source's datagrams."""
+    return key & 0xFFFF
 
 
 def _endpoint(key: int) -> tuple[str, int]:

@@ -70,6 +70,7 @@ class Stream:
         self._decoder: Decoder | None = None  # not known until enough packets have come
         self._packets: list[Bytes] = []
         self._times_ns: list[Times] = []
+        self.fresh = False  # whether packets came since they were last taken
         self._taken = 0  # how many of the kept packets were wanted before: 1, the one before the next, or 0
         self._count: Counter[str] = Counter()
 
@@ -77,9 +78,11 @@ class Stream:
         """More packets (P, size), and when the host saw them."""
         self._packets.append(packets)
         self._times_ns.append(times_ns)
+        self.fresh = True
 
     def take(self, sensor_names: tuple[str, ...], last: bool) -> Packets | None:
         """The packets whose successors are known, or with `last` all of them. Raises PacketError, ConfigError."""
+        self.fresh = False
         packets = np.concatenate(self._packets)
         times_ns = np.concatenate(self._times_ns)
         self._packets = [packets]

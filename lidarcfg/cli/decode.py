@@ -141,8 +141,9 @@ def decode(
 
 
 def _stats_line(source: "SourceStats") -> str:
+    speed = f"{source.rpm:.1f} rpm" if source.rpm > 0 else "speed not known"  # of a single packet it is not a number
     return (
-        f"{source.name}: {' or '.join(source.models)}, {' and '.join(source.return_modes)}, {source.rpm:.1f} rpm, "
+        f"{source.name}: {' or '.join(source.models)}, {' and '.join(source.return_modes)}, {speed}, "
         f"{source.packets:,} packets, {source.lost:,} lost, {source.duplicates:,} duplicates, "
         f"{source.reordered:,} out of order"
     )

@@ -273,7 +273,7 @@ def _export_points(
     warnings = [
         f"{mount.name}: {mount.sensor.name} has no firing facts; all lasers fire at once, every {FIRING.step_deg:g} deg"
         for mount in drive.rig.mounts
-        if not (mount.sensor.codec or mount.sensor.firing)
+        if not mount.sensor.fires
     ]
     most = most_returns(drive)
     free = free_bytes(output)

@@ -52,7 +52,6 @@ def _emulated(
     Examples:
       lidarcfg replay out/two.pcap 127.0.0.1:2368
       lidarcfg replay out/two.pcap 127.0.0.1 --speed 2x --from 0.02 --to 0.08
-      lidarcfg replay out/ouster.pcap 127.0.0.1 --emulate --loop
     """
 )
 @cloup.argument("pcap", type=FILE, help="A capture.")
@@ -65,7 +64,8 @@ def _emulated(
     "--emulate",
     is_flag=True,
     help="Also answer drivers as the sensors do, at the addresses that their datagrams come from: an Ouster's HTTP "
-    "(port 80), a Hesai's PTC (port 9347). Drivers can then set where datagrams go.",
+    "(TCP port 80), a Hesai's PTC (TCP 9347), a Livox's commands (UDP 56000 and 56100). Drivers may then set where "
+    "datagrams go.",
 )
 @cloup.option_group("Selection", from_option, to_option, help="Send only a part of the capture.")
 @quiet_option

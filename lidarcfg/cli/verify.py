@@ -6,7 +6,7 @@ import click
 import cloup
 
 from lidarcfg.cli.evaluate import check_rig
-from lidarcfg.cli.options import FILE, command_line, json_option, quiet_option, warn_of
+from lidarcfg.cli.options import FILE, command_line, json_option, quiet_option, warn, warn_of
 from lidarcfg.cli.progress import progress
 
 NOT_MET = 3  # the exit code if a requirement is not met
@@ -47,6 +47,7 @@ def verify(
         on_progress(0.0, f"reading {study}")
         from lidarcfg.errors import ConfigError
         from lidarcfg.files import replacing
+        from lidarcfg.placement.checks import requirement_warnings
         from lidarcfg.placement.study import load_study
         from lidarcfg.report.results import VERIFIED, check_writable, save_verdict, to_json
         from lidarcfg.report.verdict import junit as junit_text
@@ -61,6 +62,8 @@ def verify(
         paths = [rig, *([against] if against else [])]
         rigs = [load_rig(path) for path in paths]
     warn_of(loaded.vehicle)
+    for message in requirement_warnings(study):
+        warn(message)
     for path, one in zip(paths, rigs, strict=True):
         check_rig(loaded, path, one)
     if output:

@@ -135,7 +135,7 @@ def gather(clouds: Iterable[PointCloud], points: int) -> PointCloud:
     columns: dict[str, Any] = {
         key: np.empty((points, 3) if key == "xyz" else points, kind) for key, kind in FIELDS.items()
     }
-    index: dict[str, int] = {}
+    index = _SensorIndex()
     count = 0
     for cloud in clouds:
         rows = slice(count, count + len(cloud.xyz))
@@ -143,10 +143,10 @@ def gather(clouds: Iterable[PointCloud], points: int) -> PointCloud:
             points = 2 * rows.stop
             _resize(columns, points)
         for key, column in columns.items():
-            column[rows] = _sensor(cloud, index) if key == "sensor" else getattr(cloud, key)
+            column[rows] = index.numbers(cloud) if key == "sensor" else getattr(cloud, key)
         count = rows.stop
     _resize(columns, count)
-    return PointCloud(sensor_names=tuple(index), **columns)
+    return PointCloud(sensor_names=index.names, **columns)
 
 
 def _resize(columns: Mapping[str, NDArray[Any]], rows: int) -> None:
@@ -164,10 +164,26 @@ def _driver(clouds: Sequence[PointCloud]) -> dict[str, NDArray[Any]]:
     }
 
 
-def _sensor(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.uint16]:
-    """The cloud's sensors as numbers of `index`, to which new names are added."""
-    table = [index.setdefault(name, len(index)) for name in cloud.sensor_names]
-    return cloud.sensor if table == list(range(len(table))) else np.array(table, np.uint16)[cloud.sensor]
+class _SensorIndex:
+    """Numbers sensors by their names, in the order in which clouds name them."""
+
+    def __init__(self) -> None:
+        self._index: dict[str, int] = {}
+        self._names: tuple[str, ...] = ()  # of the cloud before, and mostly of the next one: with thousands it counts
+        self._table: NDArray[np.uint16] | None = None  # the numbers of these; None if they are 0, 1 and on
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names."""
+        return tuple(self._index)
+
+    def numbers(self, cloud: PointCloud) -> NDArray[np.uint16]:
+        """(N,) of the sensors of a cloud's points; new names are added."""
+        if cloud.sensor_names is not self._names:
+            self._names = cloud.sensor_names
+            table = [self._index.setdefault(name, len(self._index)) for name in self._names]
+            self._table = None if table == list(range(len(table))) else np.array(table, np.uint16)
+        return cloud.sensor if self._table is None else self._table[cloud.sensor]
 
 
 def _object(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.int32]:
@@ -201,17 +217,17 @@ def save_clouds(
         if kind == ".npz":
             return _save_npz(path, clouds, boxes)
         with replacing(path, "wb") as file, tempfile.TemporaryFile(dir=path.parent) as body:
-            index: dict[str, int] = {}
+            sensors = _SensorIndex()
             objects: dict[str, int] = {}
             dtype, head = (PLY_ROW, _ply_header) if kind == ".ply" else (PCD_ROW, _pcd_header)
             for number, cloud in enumerate(clouds):
                 if number == 0 and cloud.object is not None:
                     dtype = np.dtype([*_fields(dtype), *OBJECT_ROW])
-                body.write(_rows(cloud, _sensor(cloud, index), _object(cloud, objects), dtype).tobytes())
+                body.write(_rows(cloud, sensors.numbers(cloud), _object(cloud, objects), dtype).tobytes())
             count = body.tell() // dtype.itemsize
             body.seek(0)
             found = _ply_boxes(boxes()) if kind == ".ply" else np.empty(0, PLY_BOX)
-            file.write(head(count, dtype, {"sensor": index, "object": objects}, len(found)).encode())
+            file.write(head(count, dtype, {"sensor": sensors.names, "object": objects}, len(found)).encode())
             copyfileobj(body, file, 1 << 20)
             file.write(found.tobytes())
         return count
@@ -220,7 +236,7 @@ def save_clouds(
 
 
 def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDArray[np.void]]) -> int:
-    index: dict[str, int] = {}
+    sensors = _SensorIndex()
     objects: dict[str, int] = {}
     count = 0
     knows_objects = False
@@ -229,7 +245,7 @@ def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDAr
         bodies = {key: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for key in kinds}
         for cloud in clouds:
             columns = {key: getattr(cloud, key) for key in FIELDS}
-            columns |= {"sensor": _sensor(cloud, index), "object": _object(cloud, objects)}
+            columns |= {"sensor": sensors.numbers(cloud), "object": _object(cloud, objects)}
             for key, body in bodies.items():
                 body.write(np.ascontiguousarray(columns[key], kinds[key]).data)
             count += len(cloud.xyz)
@@ -245,7 +261,7 @@ def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDAr
             del arrays["object"]
         if len(found := boxes()):
             arrays["boxes"] = found
-        np.savez(file, sensor_names=np.array(tuple(index), np.str_), **arrays)
+        np.savez(file, sensor_names=np.array(sensors.names, np.str_), **arrays)
     return count
 
 

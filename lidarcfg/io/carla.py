@@ -1,4 +1,4 @@
-"""CARLA: where to spawn each sensor on a vehicle, and the attributes of its blueprint.
+"""CARLA: where to spawn each sensor on a vehicle, and the attributes of its blueprint; written and read as JSON.
 
 CARLA's axes are Unreal's: x forward, y right, z up, left-handed, in metres and degrees. Mirroring y turns
 Rz(yaw) Ry(pitch) Rx(roll) into Unreal's rotation by roll, -pitch, -yaw: yaw is clockwise seen from above, and
@@ -7,15 +7,25 @@ a positive pitch lifts the nose.
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from lidarcfg.errors import ConversionError
+from lidarcfg.inputs import read_regular
+from lidarcfg.io.kits.frames import Pose
+from lidarcfg.io.kits.kit import Frame, Kit
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import catalogue
 
 EVEN_DEG = 0.05  # beams further than that from CARLA's even spacing get a warning
+FILE_MAX = 64_000_000  # bytes
+BLUEPRINTS = ("sensor.lidar.ray_cast", "sensor.lidar.ray_cast_semantic")
+PLACE = ("x", "y", "z", "roll", "pitch", "yaw")
+CHANNELS_MAX = 1024
 
 
 def carla(rig: Rig, on_warning: Callable[[str], None]) -> str:
@@ -42,6 +52,8 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
     """The blueprint's attributes; for what is unknown of the sensor, CARLA's defaults hold."""
     sensor = mount.sensor
     realism = mount.realism
+    if sensor.scan_pattern:
+        raise ConversionError(f"{mount.name}: {sensor.name} has a scan pattern; CARLA's lidars turn")
     elevation_deg = np.sort(sensor.beams.elevation_deg)
     attributes = {
         "channels": sensor.count,
@@ -54,11 +66,10 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
     }
     if sensor.range:
         attributes["range"] = sensor.range.reported_m[1]
-    fires = bool(sensor.codec or sensor.firing)
-    if fires:
+    if sensor.fires:
         pace = timing(sensor).pace(mount)
         attributes["points_per_second"] = round(pace.firings * 1e9 / pace.period_ns)
-    if not (sensor.range and fires):
+    if not (sensor.range and sensor.fires):
         on_warning(f"{mount.name}: {sensor.name} has beams only; its range and points_per_second are CARLA's defaults")
     away_deg = abs(elevation_deg - np.linspace(elevation_deg[0], elevation_deg[-1], sensor.count)).max()
     if away_deg > EVEN_DEG:
@@ -69,3 +80,47 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
         low, high = mount.azimuth_fov_deg
         on_warning(f"{mount.name}: CARLA fires all around, not only from {low:g} to {high:g} deg")
     return attributes
+
+
+def read_carla(path: Path) -> Kit:
+    """The kit of a JSON for CARLA. Raises ConversionError, OSError."""
+    try:
+        values = json.loads(read_regular(path, FILE_MAX))
+    except (ValueError, RecursionError) as error:
+        raise ConversionError(f"{path}: not JSON: {error}") from None
+    listed = values.get("sensors") if isinstance(values, dict) else None
+    if not isinstance(listed, list) or not all(isinstance(one, dict) and "type" in one for one in listed):
+        raise ConversionError(f"{path}: has no sensors with a type, as convert writes them for CARLA")
+    frames = [_frame(f"{path}: sensors[{i}]", one) for i, one in enumerate(listed) if one["type"] in BLUEPRINTS]
+    others = [str(one.get("id", one["type"])) for one in listed if one["type"] not in BLUEPRINTS]
+    name = values.get("name")
+    return Kit(str(path), name if isinstance(name, str) and name else path.stem, tuple(frames), tuple(others))
+
+
+def _frame(where: str, sensor: Mapping[str, Any]) -> Frame:
+    name = sensor.get("id")
+    if not isinstance(name, str) or not name:
+        raise ConversionError(f"{where}: has no id")
+    x, y, z, roll, pitch, yaw = (_number(where, sensor, key) for key in PLACE)
+    pose = Pose((x, -y + 0.0, z), (math.radians(roll), -math.radians(pitch) + 0.0, -math.radians(yaw) + 0.0))
+    model = sensor.get("model")
+    attributes = sensor.get("attributes")
+    if not isinstance(attributes, Mapping):
+        raise ConversionError(f"{where}: has no attributes")
+    rpm = 60 * _number(where, attributes, "rotation_frequency")
+    if isinstance(model, str) and model:
+        return Frame(name, pose, model=model, rpm=rpm)
+    channels = _number(where, attributes, "channels")
+    if not (channels.is_integer() and 1 <= channels <= CHANNELS_MAX):
+        raise ConversionError(f"{where}: channels is {channels:g}; allowed: 1 to {CHANNELS_MAX}")
+    lower_deg = _number(where, attributes, "lower_fov")
+    upper_deg = _number(where, attributes, "upper_fov")
+    beams = np.linspace(lower_deg, upper_deg, int(channels)).tolist()
+    return Frame(name, pose, elevation_deg=tuple(beams), rpm=rpm)
+
+
+def _number(where: str, values: Mapping[str, Any], key: str) -> float:
+    value = values.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ConversionError(f"{where}: {key} is not a number")
+    return float(value)

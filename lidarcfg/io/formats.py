@@ -9,7 +9,7 @@ from lidarcfg.clouds.cloud import PointCloud, load_cloud, save_clouds
 from lidarcfg.errors import ConversionError
 from lidarcfg.files import replacing, replacing_folder
 from lidarcfg.io.bag_reader import SUFFIXES, is_bag
-from lidarcfg.io.kits import urdf as urdf_kit
+from lidarcfg.io.urdf import SUFFIXES as URDF_SUFFIXES
 from lidarcfg.sensors.rig import load_rig, save_rig
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ OnWarning = Callable[[str], None]
 
 INPUTS: dict[Kind, tuple[str, ...]] = {
     "rig": (".yaml", ".yml", ".json"),
-    "kit": (*urdf_kit.SUFFIXES, ".yaml", ".yml", ".json", ".txt"),
+    "kit": (*URDF_SUFFIXES, ".yaml", ".yml", ".json", ".txt"),
     "bag": SUFFIXES,
     "cloud": (".ply", ".pcd", ".npz", ".las", ".laz", ".bin"),
     "capture": (".pcap", ".pcapng"),
@@ -128,7 +128,7 @@ def _failed(kind: Kind) -> str:
 def _kind_of(source: Path, output: Path, name: str | None) -> Kind:
     if is_bag(source):
         return "bag"
-    if source.suffix.lower() in urdf_kit.SUFFIXES or source.is_dir() or name == RIG:
+    if source.suffix.lower() in URDF_SUFFIXES or source.is_dir() or name == RIG:
         return "kit"
     if output.suffix.lower() in RIG_SUFFIXES and source.suffix.lower() in INPUTS["kit"] and name is None:
         return "kit"

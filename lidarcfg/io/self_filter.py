@@ -2,13 +2,16 @@
 
 import json
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Flags, transform
 from lidarcfg.io.frames import BASE_LINK
+from lidarcfg.sensors.firing import NO_ELEVATIONS
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.scans import beam_ends
 from lidarcfg.world.vehicle import Vehicle
@@ -86,13 +89,23 @@ def free_window_deg(mount: Mount, bodies: Vehicle) -> tuple[float, float] | None
 
 
 def meets_body(mount: Mount, bodies: Vehicle) -> Flags:
-    """(STEPS,) whether some beam meets the body while the head points at each azimuth, clockwise from the x axis."""
-    lasers = np.arange(mount.sensor.count)
-    heads_rad = np.repeat(np.arange(STEPS) * np.radians(STEP_DEG), len(lasers))
-    laser = np.tile(lasers, STEPS)
+    """(STEPS,) whether some beam meets the body while the head points at each azimuth, clockwise from the x axis.
+
+    Of a scan pattern, whether some beam at each azimuth does.
+    """
+    sensor = mount.sensor
+    laser: NDArray[np.integer[Any]] = np.tile(np.arange(sensor.count), STEPS)
+    heads_rad = np.repeat(np.arange(STEPS) * np.radians(STEP_DEG), sensor.count)
+    elevation_rad = NO_ELEVATIONS
+    if sensor.scan_pattern:
+        laser = sensor.pattern.channel
+        heads_rad = sensor.pattern.azimuth_rad
+        elevation_rad = sensor.pattern.elevation_rad
     T = mount.T_vehicle_sensor
     starts, ends = (
-        transform(T, beam_ends(mount.sensor, laser, heads_rad, np.full(len(laser), range_m))) for range_m in (0.0, 1.0)
+        transform(T, beam_ends(sensor, laser, heads_rad, np.full(len(laser), range_m), elevation_rad))
+        for range_m in (0.0, 1.0)
     )
-    hits = bodies.tracer.cast(starts, ends - starts)
-    return np.asarray(np.isfinite(hits.range_m).reshape(STEPS, len(lasers)).any(axis=1))
+    hits = np.isfinite(bodies.tracer.cast(starts, ends - starts).range_m)
+    step = np.rint(np.degrees(heads_rad) / STEP_DEG).astype(np.int64) % STEPS
+    return np.bincount(step[hits], minlength=STEPS) > 0

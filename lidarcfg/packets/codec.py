@@ -172,10 +172,7 @@ class Codec(Timing, Protocol):
         """(N, R) which ranges are returns in the packets; of an identical pair, only the first."""
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
-        """(N, R) the types of the encoded returns, as far as packets distinguish them.
-
-        The second strongest of a pair counts as its strongest.
-        """
+        """(N, R) the types of the encoded returns, as decoding names them."""
         return np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape)
 
     def fired_ns(self, mount: Mount, batch: Batch, range_m: Array) -> Times:

@@ -7,7 +7,7 @@ from importlib import import_module
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.codec import Codec
-from lidarcfg.sensors.firing import Pattern, Timing
+from lidarcfg.sensors.firing import FramePattern, Pattern, Timing
 from lidarcfg.sensors.pattern_timing import PatternTiming
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import GenericTiming
@@ -49,8 +49,8 @@ def timing(sensor: Sensor) -> Timing:
     return PatternTiming() if sensor.scan_pattern else GenericTiming(sensor)
 
 
-def pattern(mount: Mount) -> Pattern:
-    """Where the lasers of a mount's sensor fire in a revolution. Raises ConfigError if that is not known."""
+def pattern(mount: Mount) -> Pattern | FramePattern:
+    """Where the lasers of a mount's sensor fire in a revolution or a frame. Raises ConfigError if that is not known."""
     sensor = mount.sensor
     if not sensor.fires:
         what = "has no codec, which would say where its lasers fire; add firing to its file"

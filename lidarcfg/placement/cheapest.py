@@ -166,10 +166,11 @@ class CheapestRun:
 
         each = self._evaluations_each
         if self._workers:
+            before = self.efforts.copy()
             distribute(((n, self._job(n, each)) for n in numbers), self._workers, ended)
-            if self.found is not None:
-                for n in [n for n in numbers if n > self.found and n in self.efforts]:
-                    del self.efforts[n]  # begun before the find was known
+            if self.found in numbers:  # what was begun before the find was known does not count
+                efforts = self.efforts.items()
+                self.efforts = before | {n: one for n, one in efforts if n not in numbers or n <= self.found}
             return
         for n in numbers:
             study, log, seconds = self._arguments(n, each)

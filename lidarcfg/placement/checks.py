@@ -44,6 +44,12 @@ def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
     """Warnings about a study that was loaded from a file."""
     path = example(path)
     yield from _lines(path, _of_study(load(path, StudyFile), study))
+    yield from requirement_warnings(path)
+
+
+def requirement_warnings(path: str | Path) -> Iterator[str]:
+    """Warnings about the requirements of a study's file."""
+    path = example(path)
     for one in sources(load(path, StudyFile).requirements, path):
         for key, what in _turns(one.item):
             yield str(one.error(what, *key))
@@ -107,7 +113,8 @@ def _turns(item: RequirementFile) -> Iterator[Suspect]:
     """Angles of a requirement that look like radians."""
     for key in ("headings_deg", "sector_deg"):
         turns = getattr(item, key) or ()
-        suspects = [angle for angle in turns if _is_in_radians(angle, in_degrees=False)]
+        in_degrees = any(abs(angle) > 2 * math.pi for angle in turns)
+        suspects = [angle for angle in turns if _is_in_radians(angle, in_degrees)]
         if suspects:
             yield (key,), f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians; give degrees"
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lidarcfg.config.document import key_text
 from lidarcfg.config.models import Given
+from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Analytic, analytic
@@ -14,6 +16,7 @@ from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_
 from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Counted, Detection, counted_places, detection
 from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.objective import without_cones
 from lidarcfg.placement.return_counts import ReturnCounts, return_counts
 from lidarcfg.placement.sensitivity import Robustness
 from lidarcfg.placement.study import Study, load_study
@@ -68,7 +71,7 @@ class Evaluation:
 
     @property
     def max_vsr_m(self) -> float:
-        """Max VSR by the cuboids' faces: the paper's cost."""
+        """Max VSR by the cuboids' faces: the paper's cost. Sensors with a scan pattern, without cones, have no part."""
         return float(self.vsr_m.max())
 
 
@@ -92,6 +95,11 @@ def evaluate(
     started = time.perf_counter()
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts)
+    sensors = [mount.sensor for mount in rig.mounts]
+    if fault := without_cones(study.objective, study.detection, study.seeks_margin, sensors):
+        raise ConfigError(f"study {study.name!r}: {key_text(fault[0])}{fault[1]}")
+    if tolerance is not None and any(sensor.scan_pattern for sensor in sensors):
+        raise ConfigError("a tolerance is that of cones of beams; sensors with a scan pattern have none")
     converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
     subspaces = segment(study.region, rig_lidars(rig), study.visibility)
     vsr = vsr_m(subspaces)

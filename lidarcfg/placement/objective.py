@@ -28,6 +28,7 @@ from lidarcfg.placement.return_counts import DetectionTarget, MissCounter
 from lidarcfg.placement.subspace import Links, Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Weight, Weights, weighted_vsr_m
+from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.returns import Poses
 from lidarcfg.world.obstacles import NO_OBSTACLES
 
@@ -62,6 +63,24 @@ class Objective(Model):
     def is_max_vsr(self) -> bool:
         """Whether it is max VSR alone."""
         return not self.detection and all(getattr(self, key) is None for key in ("inscribed_radius", *SIGHT))
+
+
+def without_cones(
+    objective: Objective, detection: Sequence[DetectionObject], seeks_margin: bool, sensors: Sequence[Sensor]
+) -> tuple[tuple[str | int, ...], str] | None:
+    """The key of a study that only cones of beams can answer, and why some sensor's cannot; None if all is well."""
+    keys: list[tuple[str | int, ...]] = [("detection", i) for i, item in enumerate(detection) if item.returns is None]
+    keys += [("objective", key) for key in ("max_vsr", "inscribed_radius") if getattr(objective, key) is not None]
+    if objective.is_max_vsr and not seeks_margin:
+        keys.append(("objective",))
+    scans = [sensor.name for sensor in sensors if sensor.scan_pattern]
+    if not scans or not keys:
+        return None
+    what = "counts subspaces" if keys[0][0] == "detection" else "is max_vsr" if keys[0] == ("objective",) else "is"
+    return keys[0], (
+        f"{what} of cones of beams, and {scans[0]} has a scan pattern; "
+        "instead, detect objects by returns (detection: returns), or give requirements"
+    )
 
 
 class Trial:

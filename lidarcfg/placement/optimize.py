@@ -62,3 +62,16 @@ def search_run(study: Study, log: Log | None = None, plain: bool | None = None) 
     if begins_plain:
         return SearchRun(study, PointsFirst(study, plain_points(study)), log)
     return SearchRun(study, start_search(study.solver, study.coordinates), log)
+
+
+def place(study: Study, threads: int | None = None) -> Rig:
+    """The rig of a study that costs least: the one that `optimize` finds, which also logs, resumes and evaluates."""
+    solver = start_search(study.solver, study.coordinates)  # minimises over the unit cube, and knows no LiDARs
+    search = SearchRun(study, solver)  # keeps the best trial
+    budget = Budget.of(study.solver)
+    with search.evaluator(threads) as evaluator:
+        while not search.is_over(budget):
+            trials = search.ask()  # points of the unit cube
+            cost = search.costs(trials, evaluator, budget)  # max VSR of the rigs there, or what the study asks for
+            search.tell(trials, cost, budget)  # the solver learns
+    return search.rig()

@@ -140,7 +140,7 @@ def report_inputs(
     The effects of failures and mounting errors are omitted for large regions: see `robustness`.
     """
     cheap = study.region.included.size <= cheap_cuboids
-    if found.analytic is None and cheap:
+    if found.analytic is None and cheap and not any(mount.sensor.scan_pattern for mount in rig.mounts):
         found = replace(found, analytic=analytic(study.region, rig_lidars(rig), ONE_HALVING, study.visibility))
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)

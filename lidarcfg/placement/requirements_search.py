@@ -28,6 +28,7 @@ from lidarcfg.requirements.verify import Verifier
 
 FIRST_POINTS = 4  # that are judged in full
 POINTS_GROWTH = 3  # of the number of points, until the best so far is what the next have to beat
+LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
 
@@ -159,6 +160,15 @@ class RequirementsRun(SearchRun):
             shortfall=0.0 if meets(line.best) else line.best,
         )
 
+    def is_over(self, budget: Budget) -> bool:
+        """Whether a limit is reached; of seconds, some are left to verify the best rig."""
+        needed_s = 0.0 if self._is_best_verified else min(self._verify_s, LEFT_MOST * budget.seconds)
+        return super().is_over(budget) or (bool(self.history) and time.perf_counter() + needed_s >= budget.deadline)
+
+    @property
+    def _is_best_verified(self) -> bool:
+        return self._verified is not None and bool((self.best_x == self._verified.x).all())
+
     def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials, and verify the best rig where that is due. Returns as SearchRun.step."""
         told = super().step(evaluator, budget)
@@ -177,7 +187,7 @@ class RequirementsRun(SearchRun):
     def _check(self, evaluator: TrialEvaluator) -> None:
         """Verify the best rig; if it fails at refined places, these join and the solver starts anew from it."""
         assert isinstance(evaluator, RequirementsEvaluator)
-        if self._verified and (self.best_x == self._verified.x).all():
+        if self._is_best_verified:
             self._schedule(self._interval)
             return
         found = self.verdict_on(self.best_x)
@@ -217,6 +227,8 @@ class RequirementsRun(SearchRun):
     def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
         """The result: the best rig; where that fails at refined places alone, the best that was verified."""
         x = self.best_x
+        if verdict is None and self._verified and self._is_best_verified:
+            verdict = self._verified.verdict
         if verdict is None:
             verdict = self.verdict_on(x) if math.isfinite(self.best_cost) else Verdict(())
         remarks = []

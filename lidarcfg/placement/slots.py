@@ -127,6 +127,12 @@ class Slots:
     mirror: Array  # (slots,)
 
     @property
+    def sensors(self) -> list[Sensor]:
+        """Their sensors, and all that they may be of."""
+        chosen = [choice.sensor for slot in self.slots for choice in slot.choices if choice]
+        return [slot.sensor for slot in self.slots] + chosen
+
+    @property
     def boxes_m(self) -> list[tuple[Array, Array]] | None:
         """The lower and the upper corner (3,) of the box in which each may be; None if some sit on a surface."""
         if any(slot.surface for slot in self.slots):
@@ -244,7 +250,7 @@ def freely_tilted(lidars: Sequence[Lidar], lower: Array, upper: Array, free: NDA
     number = np.cumsum(free).reshape(free.shape) - 1
     found = []
     for i, lidar in enumerate(lidars):
-        symmetric = np.allclose(lidar.sin_elevation, -lidar.sin_elevation[::-1])
+        symmetric = lidar.sin_elevation.size and np.allclose(lidar.sin_elevation, -lidar.sin_elevation[::-1])
         half_turns = all(
             free[i, k] and lower[i, k] == 0.0 and abs(upper[i, k] - math.pi) < NEARLY_RAD for k in (ROLL, PITCH)
         )

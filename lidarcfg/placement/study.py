@@ -17,7 +17,7 @@ from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.cones import Lidar, placed, rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Distances, check_fits, from_point
-from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial
+from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial, without_cones
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
 from lidarcfg.placement.slots import (
@@ -340,6 +340,9 @@ def study_of(file: StudyFile, path: Path) -> Study:
     detection_targets = _detection_targets(file, region, path)
     found = sources(file.requirements, path)
     seen = _visibility(file, region, bodies, surroundings)
+    seeks_margin = bool(found) and "objective" not in file.model_fields_set
+    if fault := without_cones(file.objective, file.detection, seeks_margin, slots.sensors):
+        raise error_at(path, *fault)
     study = Study(
         name=path.stem,
         region=region,
@@ -356,7 +359,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
         visibility=seen,
         robust=file.robust,
         requirements=_requirements(file, found, slots, region, bodies, seen, path),
-        seeks_margin=bool(found) and "objective" not in file.model_fields_set,
+        seeks_margin=seeks_margin,
         zones=zones,
         detection_targets=detection_targets,
         file=_resolved(file, found, slots.slots, choices, path),

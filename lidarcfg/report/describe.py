@@ -69,6 +69,17 @@ def beams(rig: Rig) -> int:
     return sum(mount.sensor.count for mount in rig.mounts)
 
 
+def has_cones(rig: Rig) -> bool:
+    """Whether some sensor has beams, whose cones max VSR is about."""
+    return not all(mount.sensor.scan_pattern for mount in rig.mounts)
+
+
+def beams_alone(rig: Rig) -> str:
+    """Which sensors have no part in max VSR, in words; empty if all have."""
+    names = [truncate(mount.name) for mount in rig.mounts if mount.sensor.scan_pattern]
+    return f"of beams alone, without those with scan patterns: {', '.join(names)}" if names else ""
+
+
 def describe_rig(rig: Rig) -> str:
     """The number of sensors of each model, and of beams."""
     models = [mount.sensor.name for mount in rig.mounts]
@@ -277,8 +288,7 @@ def mounts_table(rig: Rig) -> Table:
     for i, (mount, lidar) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
         tilt = math.degrees(math.acos(min(max(float(lidar.axis[2]), -1.0), 1.0)))
         angles = np.degrees(mount.rpy_rad)
-        low = min(mount.sensor.beams.elevation_deg)
-        high = max(mount.sensor.beams.elevation_deg)
+        low, high = mount.sensor.elevation_span_deg
         rows.append(
             [
                 f"{i + 1} {truncate(mount.name)}",

@@ -14,6 +14,7 @@ from lidarcfg.placement.evaluation import Evaluation, Worst
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.search_run import Placement, at_bounds
 from lidarcfg.placement.study import Study
+from lidarcfg.placement.subspace import BLIND
 from lidarcfg.report import drawings
 from lidarcfg.report.blind_spots import (
     contours_table,
@@ -24,6 +25,7 @@ from lidarcfg.report.blind_spots import (
     volumes_table,
 )
 from lidarcfg.report.describe import (
+    beams_alone,
     bounds_table,
     counted,
     date,
@@ -38,6 +40,7 @@ from lidarcfg.report.describe import (
     describe_rig,
     describe_skips,
     describe_solver,
+    has_cones,
     mounts_table,
     region_rows,
     vector,
@@ -87,7 +90,7 @@ def report(
     own = _tables(study, rig, details)
     other = _tables(study, baseline.rig, baseline.details) if baseline else {}
     tables = {name: with_baseline_rows(table, other.get(name)) for name, table in own.items()}
-    summary = _summary(study, details, placement)
+    summary = _summary(study, rig, details, placement)
     what = "optimised" if placement else "evaluated"
     return render(
         "report.html",
@@ -108,7 +111,7 @@ def report(
         rig_yaml=yaml_text(rig_to_dict(rig)),
         search=_search(placement),
         worst_is_outside=_is_outside(found.worst[0]),
-        worst_is_blind=all(pair == [None, None] for pair in found.worst[0].between_deg),
+        worst_is_blind=all(gap == BLIND for gap in found.worst[0].gap),
         quantiles=[f"{value:.4f}" for value in np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0))],
         limits=describe_limits(study),
         coverage=_coverage(details, rig),
@@ -183,36 +186,18 @@ def _drawings(
 
 def _of_baseline(study: Study, baseline: Baseline) -> list[KeyFigure]:
     """Its figures in a summary: the midpoint of the bounds is the study's, whatever the rig."""
-    return _summary(study, replace(baseline.details, midpoint_max_vsr_m=None))
+    return _summary(study, baseline.rig, replace(baseline.details, midpoint_max_vsr_m=None))
 
 
-def _summary(study: Study, details: ReportInputs, placement: Placement | None = None) -> list[KeyFigure]:
+def _summary(study: Study, rig: Rig, details: ReportInputs, placement: Placement | None = None) -> list[KeyFigure]:
     """Key figures; that which was minimised comes first."""
     found = details.evaluation
-    midpoint = details.midpoint_max_vsr_m
-    worst = found.worst[0]
-    at = f"at {vector(worst.centroid_m, '.1f')} m"
-    largest = f"the largest of {counted(len(found.subspaces), 'subspace')}"
     figures = []
     if placement and study.seeks_margin:
         figures.append(KeyFigure("Least margin", f"{placement.objective:+.0%}", "of what is demanded"))
     elif placement and not study.is_max_vsr:
         figures.append(KeyFigure("Objective", f"{placement.objective:.6f}", describe_objective(study)))
-    figures.append(KeyFigure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest))
-    if midpoint is not None:
-        more = found.max_vsr_m / midpoint - 1
-        than = f"this rig's max VSR is {abs(more):.0%} {'larger' if more > 0 else 'smaller'}"
-        figures.append(KeyFigure("Max VSR at the midpoint of the bounds", f"{midpoint:.6f} m", than))
-    if bar := found.analytic:
-        value = f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m"
-        figures.append(
-            KeyFigure("Analytic max VSR", value, f"± {bar.error_m / bar.max_vsr_m:.1%}, of the cones themselves")
-        )
-    else:
-        figures.append(KeyFigure("Analytic max VSR", "not computed", "evaluate --tolerance computes it"))
-    figures.append(
-        KeyFigure("Largest sphere in the worst subspace", f"{2 * worst.inscribed_radius_m:.2f} m across", at)
-    )
+    figures += _max_vsr_figures(rig, details) if has_cones(rig) else []
     if found.blind.contours:
         part = found.blind.volume_m3 / float(found.blind.seen_by_m3.sum())
         figures.append(
@@ -233,6 +218,31 @@ def _summary(study: Study, details: ReportInputs, placement: Placement | None = 
         figures.append(
             KeyFigure(f"Detection of {truncate(name)}", f"{rate.rate:.2%}", describe_places(study, item, rate))
         )
+    return figures
+
+
+def _max_vsr_figures(rig: Rig, details: ReportInputs) -> list[KeyFigure]:
+    found = details.evaluation
+    midpoint = details.midpoint_max_vsr_m
+    worst = found.worst[0]
+    at = f"at {vector(worst.centroid_m, '.1f')} m"
+    alone = beams_alone(rig)
+    largest = alone or f"the largest of {counted(len(found.subspaces), 'subspace')}"
+    figures = [KeyFigure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest)]
+    if midpoint is not None:
+        more = found.max_vsr_m / midpoint - 1
+        than = f"this rig's max VSR is {abs(more):.0%} {'larger' if more > 0 else 'smaller'}"
+        figures.append(KeyFigure("Max VSR at the midpoint of the bounds", f"{midpoint:.6f} m", than))
+    if bar := found.analytic:
+        value = f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m"
+        figures.append(
+            KeyFigure("Analytic max VSR", value, f"± {bar.error_m / bar.max_vsr_m:.1%}, of the cones themselves")
+        )
+    elif not alone:
+        figures.append(KeyFigure("Analytic max VSR", "not computed", "evaluate --tolerance computes it"))
+    figures.append(
+        KeyFigure("Largest sphere in the worst subspace", f"{2 * worst.inscribed_radius_m:.2f} m across", at)
+    )
     return figures
 
 
@@ -270,7 +280,14 @@ def _worst(found: Evaluation) -> Table:
             f"{worst.surface_m2:.2f}",
             f"{worst.inscribed_radius_m:.3f}",
             vector(worst.centroid_m, ".1f"),
-            "; ".join(summarize([f"{n}: {_between(*pair)}" for n, pair in enumerate(worst.between_deg, 1)])),
+            "; ".join(
+                summarize(
+                    [
+                        f"{n}: {_between(gap, *pair)}"
+                        for n, (gap, pair) in enumerate(zip(worst.gap, worst.between_deg, strict=True), 1)
+                    ]
+                )
+            ),
         ]
         for i, worst in enumerate(found.worst, 1)
     ]
@@ -323,11 +340,11 @@ def _is_outside(worst: Worst) -> bool:
     return bool(seen) and all(None in pair for pair in seen)
 
 
-def _between(low: float | None, high: float | None) -> str:
-    if low is None and high is None:
+def _between(gap: int, low: float | None, high: float | None) -> str:
+    if gap == BLIND:
         return "blind"
     if low is None:
-        return f"below {high:g}°"
+        return "no cones" if high is None else f"below {high:g}°"
     return f"above {low:g}°" if high is None else f"{low:g}…{high:g}°"
 
 

@@ -9,9 +9,12 @@ from rich.console import Console
 from rich.table import Table
 
 from lidarcfg.packets.families import codec
+from lidarcfg.report.describe import counted
 from lidarcfg.report.plots import COLOURS, new_figure
 from lidarcfg.report.text import terminal, truncate
+from lidarcfg.sensors.scan_pattern import ScanPattern
 from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.units import MICROSECOND_NS, MILLISECOND_NS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,18 +22,17 @@ if TYPE_CHECKING:
 
 TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offset_ns", "source"}
 NUMBERED = 40  # lasers, up to which their numbers stand beside the marks
-MICROSECOND_NS = 1000
+DRAWN = 200_000  # firings of a scan pattern, at most
 
 
 def print_sensors(sensors: Sequence[Sensor]) -> None:
     """Print one line per model."""
     table = Table("name", "beams", "elevation (°)", "range (m)", "exported", "description", box=SIMPLE)
     for sensor in sensors:
-        low = min(sensor.beams.elevation_deg)
-        high = max(sensor.beams.elevation_deg)
+        low, high = sensor.elevation_span_deg
         table.add_row(
             sensor.name,
-            str(sensor.count),
+            f"{len(sensor.pattern.time_ns):,} firings" if sensor.scan_pattern else str(sensor.count),
             f"{low:g} to {high:g}",
             f"{sensor.range.min_m:g} to {sensor.range.max_m:g}" if sensor.range else "–",
             sensor.codec or ("as points" if sensor.range else "–"),
@@ -40,9 +42,37 @@ def print_sensors(sensors: Sequence[Sensor]) -> None:
 
 
 def print_sensor(sensor: Sensor) -> None:
-    """Print a model: the beam table, then every fact with its source."""
+    """Print a model: the beam table or the channels of its scan pattern, then every fact with its source."""
     console = terminal()
     console.print(f"{sensor.name}  {sensor.maker}  {sensor.description}", style="bold")
+    console.print(_channel_table(sensor.pattern) if sensor.scan_pattern else _beam_table(sensor))
+    facts = sensor.model_dump(mode="json", exclude_none=True)
+    if sensor.scan_pattern:
+        del facts["beams"]
+    parts = {part: values for part, values in facts.items() if isinstance(values, dict) and part != sensor.codec}
+    for part, values in (parts | dict(facts.get(sensor.codec or "", {}))).items():
+        _print_part(console, part, values)
+
+
+def _channel_table(pattern: ScanPattern) -> Table:
+    """A row for each channel of a scan pattern, and one for all."""
+    table = Table("channel", "firings", "elevation (°)", "azimuth (°), clockwise", "firings a frame", box=SIMPLE)
+    azimuth_deg = (np.degrees(pattern.azimuth_rad) + 180) % 360 - 180
+    elevation_deg = np.degrees(pattern.elevation_rad)
+    every = pattern.channel >= 0
+    rows = [(str(channel), pattern.channel == channel) for channel in range(pattern.channels)]
+    for name, some in (*rows, ("all", every)) if len(rows) > 1 else rows:
+        table.add_row(
+            name,
+            f"{some.sum():,}",
+            f"{elevation_deg[some].min():g} to {elevation_deg[some].max():g}",
+            f"{azimuth_deg[some].min():g} to {azimuth_deg[some].max():g}",
+            f"{some.sum() / pattern.frames:,.6g}",
+        )
+    return table
+
+
+def _beam_table(sensor: Sensor) -> Table:
     table = Table("laser", "ring", "elevation (°)", "azimuth (°)", "height (mm)", "fires at (ns)", box=SIMPLE)
     firing_ns: list[object] = ["–"] * sensor.count
     if sensor.codec:
@@ -58,11 +88,7 @@ def print_sensor(sensor: Sensor) -> None:
             f"{sensor.beams.vertical_offset_mm[laser]:g}" if sensor.beams.vertical_offset_mm else "0",
             str(firing_ns[laser]),
         )
-    console.print(table)
-    facts = sensor.model_dump(mode="json", exclude_none=True)
-    parts = {part: values for part, values in facts.items() if isinstance(values, dict) and part != sensor.codec}
-    for part, values in (parts | dict(facts.get(sensor.codec or "", {}))).items():
-        _print_part(console, part, values)
+    return table
 
 
 def _print_part(console: Console, part: str, values: dict[str, Any]) -> None:
@@ -77,7 +103,34 @@ def _print_part(console: Console, part: str, values: dict[str, Any]) -> None:
 
 
 def draw_sensor(sensor: Sensor) -> "Figure":
-    """Elevation by laser, azimuth offsets, and firing times where the sensor's packets are known."""
+    """Elevation by laser, azimuth offsets, and firing times where the sensor's packets are known; or a scan pattern."""
+    return _draw_pattern(sensor) if sensor.scan_pattern else _draw_beams(sensor)
+
+
+def _draw_pattern(sensor: Sensor) -> "Figure":
+    """The directions of a scan pattern's first frame and of the whole of it, and when its first frame points where."""
+    pattern = sensor.pattern
+    azimuth_deg = (np.degrees(pattern.azimuth_rad) + 180) % 360 - 180
+    elevation_deg = np.degrees(pattern.elevation_rad)
+    frame = slice(0, pattern.count_before(pattern.frame_ns))
+    every = slice(None, None, -(-len(azimuth_deg) // DRAWN))
+    figure = new_figure(13, 6.5)
+    one, whole, by_time = figure.subplots(1, 3, sharey=True)
+    for axes, rows, title in ((one, frame, "one frame"), (whole, every, f"{counted(pattern.frames, 'frame')}")):
+        axes.scatter(
+            azimuth_deg[rows], elevation_deg[rows], c=[COLOURS[n % len(COLOURS)] for n in pattern.channel[rows]], s=1
+        )
+        axes.set(title=title, xlabel="azimuth (°), clockwise")
+    one.set_ylabel("elevation (°)")
+    by_time.plot(pattern.time_ns[frame] / MILLISECOND_NS, elevation_deg[frame], ".", color=COLOURS[0], ms=1)
+    by_time.set(title="one frame", xlabel="time (ms)")
+    for axes in (one, whole, by_time):
+        axes.grid(alpha=0.3)
+    figure.suptitle(f"{truncate(sensor.name)}  {truncate(sensor.maker)}\n{_summary(sensor)}", parse_math=False)
+    return figure
+
+
+def _draw_beams(sensor: Sensor) -> "Figure":
     elevation = np.array(sensor.beams.elevation_deg)
     offset = np.degrees(sensor.azimuth_offset_rad)
     laser = np.arange(sensor.count)
@@ -115,7 +168,15 @@ def _mark(axes: "Axes", across: np.ndarray, elevation: np.ndarray, numbered: boo
 
 def _summary(sensor: Sensor) -> str:
     elevation = np.sort(sensor.beams.elevation_deg)
-    parts = [f"{sensor.count} lasers from {elevation[0]:.4g}° to {elevation[-1]:.4g}°"]
+    low, high = sensor.elevation_span_deg
+    parts = [f"{sensor.count} lasers from {low:.4g}° to {high:.4g}°"]
+    if sensor.scan_pattern:
+        pattern = sensor.pattern
+        parts = [
+            f"{len(pattern.time_ns):,} firings from {low:.4g}° to {high:.4g}°",
+            counted(pattern.channels, "channel"),
+            f"{pattern.frames} × {pattern.frame_ns / MILLISECOND_NS:g} ms",
+        ]
     gaps = np.round(np.diff(elevation), 2)
     if len(gaps):
         apart = f"{gaps.min():g}°" if gaps.min() == gaps.max() else f"{gaps.min():g}° to {gaps.max():g}°"

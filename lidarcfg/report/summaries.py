@@ -119,8 +119,9 @@ def _scene(path: Path) -> tuple[str, Iterable[str]]:
 
 def _sensor(path: Path) -> tuple[str, Iterable[str]]:
     sensor = load_sensor(path.resolve())
-    table = sensor.beams.elevation_deg
-    text = f"{sensor.name}, {len(table)} beams from {min(table):g}° to {max(table):g}°; {_packets(sensor)}"
+    low, high = sensor.elevation_span_deg
+    what = counted(sensor.count, "channel" if sensor.scan_pattern else "beam")
+    text = f"{sensor.name}, {what} from {low:.6g}° to {high:.6g}°; {_packets(sensor)}"
     return text, ()
 
 

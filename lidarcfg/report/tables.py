@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.box import SIMPLE
+from rich.console import Console
 from rich.table import Column, Table
 
 from lidarcfg.placement.analytic import Analytic
@@ -12,7 +13,8 @@ from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
-from lidarcfg.report.describe import counted, describe_places, describe_returns, price
+from lidarcfg.placement.subspace import BLIND
+from lidarcfg.report.describe import beams_alone, counted, describe_places, describe_returns, has_cones, price
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.text import MANY, summarize, terminal, truncate
 from lidarcfg.report.verdict import print_verdict
@@ -36,8 +38,9 @@ def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> N
         search.add_row("least margin", f"{found.objective:+.2%} of what is demanded")
     elif not study.is_max_vsr:
         search.add_row("objective", f"{found.objective:.6f}")
-    search.add_row("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m")
-    search.add_row("max VSR, optimised", f"{evaluation.max_vsr_m:.4f} m")
+    if has_cones(found.rig):
+        search.add_row("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m")
+        search.add_row("max VSR, optimised", f"{evaluation.max_vsr_m:.4f} m")
     search.add_row("evaluations", f"{found.evaluations:,}")
     search.add_row("seconds", f"{found.seconds:.1f}")
     terminal().print(search)
@@ -84,14 +87,9 @@ def print_evaluation(study: Study, rig: Rig, found: Evaluation, with_verdict: bo
         angles = np.degrees(mount.rpy_rad)
         poses.add_row(truncate(mount.name), *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
     console.print(poses)
-    console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
-    if found.analytic:
-        console.print(analytic_line(found.analytic))
-    for zone in found.zones:
-        weighted = f"; {zone.weight * zone.max_vsr_m:.6f} m with its weight of {zone.weight:g}"
-        console.print(f"max VSR in {truncate(zone.name)}: {zone.max_vsr_m:.6f} m{weighted}")
-    for line in robust_lines(found.robustness) if found.robustness else ():
-        console.print(line)
+    cones = has_cones(rig)
+    if cones:
+        _print_max_vsr(console, rig, found)
     for item in study.detection:
         name = item.name
         detection = found.detection[name]
@@ -101,6 +99,23 @@ def print_evaluation(study: Study, rig: Rig, found: Evaluation, with_verdict: bo
             console.print(f"  {describe_returns(detection.returns)}")
     for line in blind_lines(found.blind):
         console.print(line)
+    if cones:
+        _print_worst(console, found)
+
+
+def _print_max_vsr(console: Console, rig: Rig, found: Evaluation) -> None:
+    alone = beams_alone(rig)
+    console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces{', ' * bool(alone)}{alone}")
+    if found.analytic:
+        console.print(analytic_line(found.analytic))
+    for zone in found.zones:
+        weighted = f"; {zone.weight * zone.max_vsr_m:.6f} m with its weight of {zone.weight:g}"
+        console.print(f"max VSR in {truncate(zone.name)}: {zone.max_vsr_m:.6f} m{weighted}")
+    for line in robust_lines(found.robustness) if found.robustness else ():
+        console.print(line)
+
+
+def _print_worst(console: Console, found: Evaluation) -> None:
     worst = Table(
         "VSR (m)", "volume (m³)", "inner radius (m)", "centroid (m)", "between the beams at (°), by sensor", box=SIMPLE
     )
@@ -110,7 +125,7 @@ def print_evaluation(study: Study, rig: Rig, found: Evaluation, with_verdict: bo
             f"{space.volume_m3:.2f}",
             f"{space.inscribed_radius_m:.3f}",
             ", ".join(f"{v:z.2f}" for v in space.centroid_m),
-            "  ".join(summarize([_between(low, high) for low, high in space.between_deg])),
+            "  ".join(summarize([_between(*one) for one in zip(space.gap, space.between_deg, strict=True)])),
         )
     console.print("the worst subspaces:")
     console.print(worst)
@@ -172,7 +187,9 @@ def analytic_line(found: Analytic) -> str:
     )
 
 
-def _between(low: float | None, high: float | None) -> str:
-    if low is None and high is None:
+def _between(gap: int, between_deg: Sequence[float | None]) -> str:
+    if gap == BLIND:
         return "blind"
-    return "…".join("" if angle is None else f"{angle:g}" for angle in (low, high))
+    if all(angle is None for angle in between_deg):
+        return "no cones"
+    return "…".join("" if angle is None else f"{angle:g}" for angle in between_deg)

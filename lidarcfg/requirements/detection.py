@@ -18,7 +18,7 @@ from lidarcfg.requirements.frames import fire
 from lidarcfg.requirements.scenario import BEFORE_IMPACT_S, Approach, Extent, Scenario
 from lidarcfg.requirements.sight import Bounds, Sight, earliest_sight, places_within
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.units import MINUTE_NS, SECOND_NS
+from lidarcfg.units import SECOND_NS
 from lidarcfg.world.vehicle import Vehicle
 
 STARTS = 4
@@ -172,7 +172,7 @@ def check_scenario(
     if not mounts:
         raise ConfigError(f"{scenario.name}: there is no sensor")
     exact = [replace(mount, realism=None) for mount in mounts]
-    frame_ns = round(MINUTE_NS / min(mount.rpm for mount in exact))
+    frame_ns = max(mount.frame_ns for mount in exact)
     keys = list(product(speeds, scenario.file.impacts))
     quarter_s = frame_ns / SECOND_NS / STARTS
     approaches = []

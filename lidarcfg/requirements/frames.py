@@ -15,9 +15,9 @@ from lidarcfg import core
 from lidarcfg.geometry import Array, inverse, transform
 from lidarcfg.requirements.objects import LOW_M
 from lidarcfg.requirements.scenario import TARGET, Approach
-from lidarcfg.sensors.firing import Firings
+from lidarcfg.sensors.firing import Firings, joined
 from lidarcfg.sensors.rig import Mount, Rig
-from lidarcfg.simulate.scans import beam_ends
+from lidarcfg.simulate.scans import firing_ends
 from lidarcfg.simulate.tasks import CHUNK_NS, START_NS, Drive, Task, build_tasks
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.vehicle import Vehicle
@@ -119,11 +119,9 @@ def _frames(task: Task, frame_ns: int, count: int) -> Iterator[_Frame]:
 
 def _frame(mount: Mount, batches: Sequence[tuple[Counts, Firings]], frame: int) -> _Frame:
     chosen = [(numbers == frame, fired) for numbers, fired in batches]
-    columns = [[getattr(fired, key)[which] for which, fired in chosen] for key in ("time_ns", "laser", "encoder_rad")]
-    time_ns, laser, encoder_rad = (np.concatenate(column) if column else np.empty(0) for column in columns)
-    fired = Firings(time_ns.astype(np.int64), laser.astype(np.uint8), encoder_rad)
-    starts_m = beam_ends(mount.sensor, fired.laser, encoder_rad, np.zeros(len(encoder_rad)))
-    ends_m = beam_ends(mount.sensor, fired.laser, encoder_rad, np.ones(len(encoder_rad)))
+    fired = joined([fired[which] for which, fired in chosen])
+    starts_m = firing_ends(mount.sensor, fired, np.zeros(len(fired.time_ns)))
+    ends_m = firing_ends(mount.sensor, fired, np.ones(len(fired.time_ns)))
     offset_m = float(np.linalg.norm(starts_m, axis=1).max(initial=0.0))
     T_vehicle_sensor = mount.T_vehicle_sensor
     directions = np.ascontiguousarray((ends_m - starts_m).T)
@@ -138,7 +136,7 @@ def _returns(approach: Approach, task: Task, frame: _Frame, number: int, frame_n
     some = _may_hit(approach, most_m, frame, (number + 0.5) * frame_ns / SECOND_NS, frame_ns)
     if not len(some):
         return np.empty((0, 3))
-    fired = Firings(frame.firings.time_ns[some], frame.firings.laser[some], frame.firings.encoder_rad[some])
+    fired = frame.firings[some]
     found, _ = task.simulator.echoes(fired, 0)
     range_m = found.range_m[:, 0]
     if mount.range_m:

@@ -22,7 +22,7 @@ from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.robustness import mounted
 from lidarcfg.requirements.scenarios import ScenarioRequirement
-from lidarcfg.requirements.sensors import scanners_of
+from lidarcfg.requirements.sensors import scanners_of, united
 from lidarcfg.requirements.shadow import ShadowRequirement
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import Target
@@ -49,7 +49,7 @@ class SensorAt:
     scanner: core.returns.Scanner
     R: Array  # (3, 3)
     t: Array  # (3,)
-    counts: dict[int, Counts] = field(default_factory=dict)  # (P,) up to the returns demanded; below 0: unknown
+    counts: dict[int, Counts] = field(default_factory=dict)  # up to the returns demanded; below 0: unknown
     more: dict[int, Counts] = field(default_factory=dict)  # (P,) up to the cap for margins, where that is more
     caps: dict[int, int] = field(default_factory=dict)  # those caps
     seen: dict[int, Flags] = field(default_factory=dict)  # (N,) points that no body hides
@@ -79,6 +79,7 @@ class ObjectTrials:
         self._sensors = sensors
         base = item.stand.base
         self.places = base if more_places is None else np.ascontiguousarray(np.concatenate([base, more_places]))
+        self.shares(number, len(self.places), np.arange(len(self.places)))
         self._cases = cases(sensors, item.lost) if item.cluster_m is None else [list(range(sensors))]
         self._position, self._best = self._positions()
         self._total = item.returns * self._best * len(self._cases)
@@ -87,6 +88,19 @@ class ObjectTrials:
         self.order: Rows = np.arange(len(self.places))
         self.cap = CAP_FACTOR * item.returns  # for margins
         self._next_cap = self.cap
+
+    def shares(self, number: int, size: int, which: Rows) -> None:
+        """Counts up to the returns demanded are kept by a number: of so many places, of which these are its own."""
+        self._shared = number
+        self._size = size
+        self._which = which
+
+    def counts_as(self, other: "ObjectTrials") -> bool:
+        """Whether both count the returns of the same object, up to as many."""
+        one, two = self._item, other._item
+        if one.cluster_m is not None or two.cluster_m is not None or one.returns != two.returns:
+            return False
+        return all(map(np.array_equal, one.target.mesh, two.target.mesh))
 
     def _positions(self) -> tuple[Rows, int]:
         """(P,) the number of each place's position, over headings; how many of the best positions count."""
@@ -97,6 +111,7 @@ class ObjectTrials:
         return number, math.ceil(self._item.at_least * count - 1e-9)
 
     is_drawn = True  # whether mounting errors count
+    is_slow = False
 
     @property
     def kept_bytes(self) -> int:
@@ -108,8 +123,8 @@ class ObjectTrials:
         if self._item.cluster_m is not None:
             return
         n = self.number
-        if n not in sensor.counts:
-            sensor.counts[n] = np.full(len(self.places), -1, np.int32)
+        if self._shared not in sensor.counts:
+            sensor.counts[self._shared] = np.full(self._size, -1, np.int32)
         if n in sensor.more and sensor.caps[n] < self.cap:
             sensor.more[n][sensor.more[n] >= sensor.caps[n]] = -1
             sensor.caps[n] = self.cap
@@ -151,8 +166,9 @@ class ObjectTrials:
         item = self._item
         if item.cluster_m is not None:
             return self._clusters(sensors, rows, item.returns)[None]
-        columns = [one.counts[self.number] for one in sensors]
-        found = np.stack([column[rows] for column in columns], axis=1)
+        columns = [one.counts[self._shared] for one in sensors]
+        shared = self._which[rows]
+        found = np.stack([column[shared] for column in columns], axis=1)
         if (found < 0).any():
             for s, one in enumerate(sensors):
                 if self.number in one.more:  # counted beyond what is demanded, for the margin
@@ -160,7 +176,7 @@ class ObjectTrials:
                     found[:, s] = np.where(found[:, s] < 0, known, found[:, s])
             self._count(sensors, rows, found, item.returns)
             for column, values in zip(columns, found.T, strict=True):
-                column[rows] = values
+                column[shared] = values
         return np.stack([reached(found[:, kept], 0, item.sensors) for kept in self._cases])
 
     def _count(self, sensors: SensorsAt, rows: Rows, found: Counts, cap: int) -> None:
@@ -238,7 +254,7 @@ class ObjectTrials:
         n = self.number
         if item.cluster_m is not None:
             return self._clusters(sensors, rows, cap)
-        few = np.stack([one.counts[n][rows] for one in sensors], axis=1)
+        few = np.stack([one.counts[self._shared][self._which[rows]] for one in sensors], axis=1)
         keeps = cap == self.cap
         for one in sensors if keeps else ():
             if n not in one.more:
@@ -253,13 +269,27 @@ class ObjectTrials:
         return reached(found, item.lost, item.sensors)
 
 
+def _share(parts: Sequence[ObjectTrials]) -> None:
+    """Have those that count the same share what is known of sensors."""
+    done: list[ObjectTrials] = []
+    for first in parts:
+        if first in done:
+            continue
+        alike = [first, *(part for part in parts if part is not first and part.counts_as(first))]
+        places, numbers = united([part.places for part in alike])
+        for part, which in zip(alike, numbers, strict=True):
+            part.shares(first.number, len(places), which)
+        done += alike
+
+
 class WholeTrials:
     """How far rigs miss a requirement that is judged as a whole: of posts, the shadow or a scenario."""
 
     def __init__(self, number: int, item: PostRequirement | ShadowRequirement | ScenarioRequirement) -> None:
         self.number = number
         self._item = item
-        self.is_drawn = not isinstance(item, ScenarioRequirement)  # whether mounting errors count
+        self.is_slow = isinstance(item, ScenarioRequirement)  # as frames are fired, which takes seconds
+        self.is_drawn = not self.is_slow  # whether mounting errors count
         self._judged: dict[tuple[int, ...], tuple[float, float]] = {}  # of this batch
 
     @property
@@ -372,6 +402,8 @@ class RigTrials:
                 self._parts.append(ObjectTrials(number, item, requirements.site.obstacles, len(mounts), more))
             else:
                 self._parts.append(WholeTrials(number, item))
+        _share([part for part in self._parts if isinstance(part, ObjectTrials)])
+        self._parts.sort(key=lambda part: part.is_slow)  # only for trials that are not refuted before
         self._fixed = sum(self._fixed_by)
         self._known: OrderedDict[tuple[int, bytes], SensorAt] = OrderedDict()
         self._most = max(KEPT_BYTES // max(sum(part.kept_bytes for part in self._parts), 1), KEPT_MIN)
@@ -408,16 +440,17 @@ class RigTrials:
         """
         stops = self._skip and limit < math.inf
         values = [0.0] * len(self._parts)
-        running = {n: part.bounds(rig.at_rest, stops) for n, part in enumerate(self._parts)}
-        while running:
-            for n, bounds in list(running.items()):
-                value = next(bounds, None)
-                if value is None:
-                    del running[n]
-                    continue
-                values[n] = value
-                if stops and sum(values, self._fixed) >= limit:
-                    return math.inf
+        for slow in (False, True):
+            running = {n: part.bounds(rig.at_rest, stops) for n, part in enumerate(self._parts) if part.is_slow is slow}
+            while running:
+                for n, bounds in list(running.items()):
+                    value = next(bounds, None)
+                    if value is None:
+                        del running[n]
+                        continue
+                    values[n] = value
+                    if stops and sum(values, self._fixed) >= limit:
+                        return math.inf
         for n, part in enumerate(self._parts) if self._robust else ():
             if not part.is_drawn:
                 continue

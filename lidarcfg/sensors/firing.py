@@ -5,15 +5,18 @@ each maker is a `Timing`; `schedule` has those of sensors that fire in sequences
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array, Bytes, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.scan_pattern import ScanPattern
+from lidarcfg.sensors.sensor import Sensor
 
 STRONGEST = 0  # types of returns
 LAST = 1
@@ -31,6 +34,15 @@ RETURN_TYPES = {  # of each firing's returns, by return mode
 }
 
 
+def ranked(types: Bytes, both: Flags, reflectivity: Bytes) -> Bytes:
+    """The types (N, 2) of pairs of which the strongest is called the second strongest where the other outshines it.
+
+    So decoders name them. `both` (N,) says which firings have two returns.
+    """
+    weaker = (types == STRONGEST) & both[:, None] & (reflectivity < reflectivity[:, ::-1])
+    return np.where(weaker, SECOND, types).astype(np.uint8)
+
+
 @dataclass(frozen=True)
 class Firings:
     """N firings of one sensor in flat columns, in the order in which packets hold them."""
@@ -43,6 +55,14 @@ class Firings:
     def __getitem__(self, rows: slice | np.ndarray) -> "Firings":
         elevation_rad = self.elevation_rad[rows] if len(self.elevation_rad) else NO_ELEVATIONS
         return Firings(self.time_ns[rows], self.laser[rows], self.encoder_rad[rows], elevation_rad)
+
+
+def joined(parts: Sequence[Firings]) -> Firings:
+    """Firings of one sensor, one after the other."""
+    if not parts:
+        return Firings(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0))
+    columns = zip(*((one.time_ns, one.laser, one.encoder_rad, one.elevation_rad) for one in parts), strict=True)
+    return Firings(*(np.concatenate(column) for column in columns))
 
 
 @dataclass(frozen=True)
@@ -68,6 +88,28 @@ class Pace:
     firings: int  # in a packet
 
 
+class CycleBeams(NamedTuple):
+    """The beams of some revolutions, or frames, at evenly shifted phases: H heads, F firings a head.
+
+    Heads that stand still are all at 0: there is one a phase, and each firing is of one phase.
+    """
+
+    heads_rad: Array  # (H,) where the head is at the start of cycles, of phase n % phases; ascending
+    step_rad: float  # from one head to the next; 0: they stand still
+    phases: int
+    lag_rad: Array  # (F,) from the head's start to the encoder's angle at each firing
+    gating_rad: Array  # (F,) and to the angle that decides whether it is in the field of view
+    offset_rad: Array  # (F,) from the encoder's angle to the beam's azimuth
+    elevation_rad: Array  # (F,)
+    start_m: Array  # (F, 3) where the beam starts: forward, left, up
+    phase: NDArray[np.int32]  # (F,) of each firing, if heads stand still; else empty
+
+    def of_phase(self, phase: int) -> tuple[Array, NDArray[np.intp]]:
+        """(H', 1) the heads of a phase, and (F',) which firings they have."""
+        heads_rad = self.heads_rad[phase :: self.phases, None]
+        return heads_rad, np.flatnonzero(self.phase == phase) if len(self.phase) else np.arange(len(self.lag_rad))
+
+
 @dataclass(frozen=True)
 class Pattern:
     """A cycle of F firings, repeated while the head turns; a revolution holds the cycles that start within 0 to 2π."""
@@ -91,6 +133,49 @@ class Pattern:
         """The number of different phases: the given one, or 1 if the encoder triggers the sensor."""
         return phases if self.start_rad is None else 1
 
+    def beams(self, sensor: Sensor, phases: int) -> CycleBeams:
+        """The beams of a sensor that fires so, for at most this many phases."""
+        offsets_m = sensor.forward_offset_m, sensor.lateral_offset_m, sensor.vertical_offset_m
+        return CycleBeams(
+            heads_rad=self.heads_rad(phases),
+            step_rad=self.step_rad / self.phases(phases),
+            phases=self.phases(phases),
+            lag_rad=np.ascontiguousarray(self.lag_rad),
+            gating_rad=np.ascontiguousarray(self.gating_rad),
+            offset_rad=sensor.azimuth_offset_rad[self.laser],
+            elevation_rad=sensor.elevation_rad[self.laser],
+            start_m=np.stack([column[self.laser] for column in offsets_m], axis=1),
+            phase=np.empty(0, np.int32),
+        )
+
+
+@dataclass(frozen=True)
+class FramePattern:
+    """The frames of a scan pattern: a frame may start anywhere in it."""
+
+    scan: ScanPattern
+
+    def beams(self, sensor: Sensor, phases: int) -> CycleBeams:
+        """The beams of frames that start evenly over the pattern; one frame of a pattern that has no other."""
+        scan = self.scan
+        phases = phases if scan.frames > 1 else 1
+        rows = []
+        for start_ns in (phase * scan.period_ns // phases for phase in range(phases)):
+            _, some = scan.walk(scan.count_before(start_ns), scan.count_before(start_ns + scan.frame_ns))
+            rows.append(some)
+        row = np.concatenate(rows)
+        return CycleBeams(
+            heads_rad=np.zeros(phases),
+            step_rad=0.0,
+            phases=phases,
+            lag_rad=scan.azimuth_rad[row],
+            gating_rad=scan.azimuth_rad[row],
+            offset_rad=np.zeros(len(row)),
+            elevation_rad=scan.elevation_rad[row],
+            start_m=np.zeros((len(row), 3)),
+            phase=np.repeat(np.arange(phases, dtype=np.int32), [len(some) for some in rows]),
+        )
+
 
 class Timing(Protocol):
     """When the lasers of a sensor fire."""
@@ -109,5 +194,5 @@ class Timing(Protocol):
     def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
         """The firings in the time of this many packets, `chunk` packets at a time; fewer in a narrow field of view."""
 
-    def pattern(self, mount: Mount) -> Pattern:
-        """Where the mount's lasers fire in a revolution: as in `schedule`, for any start."""
+    def pattern(self, mount: Mount) -> Pattern | FramePattern:
+        """Where the mount's lasers fire in a revolution, or in a frame: as in `schedule`, for any start."""

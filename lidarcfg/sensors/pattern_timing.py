@@ -4,16 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lidarcfg.geometry import Flags
-from lidarcfg.sensors.firing import Batch, Firings, Pace, Timing
+from lidarcfg.geometry import Array, Flags
+from lidarcfg.sensors.firing import Batch, Firings, FramePattern, Pace, Timing
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.scan_pattern import ScanPattern
 
-PACKET_FIRINGS = 96  # that count as one packet, on average
-
 
 class PatternTiming(Timing):
-    """The timing of a sensor with a scan pattern and without packets; it has every return mode."""
+    """The timing of a sensor with a scan pattern and without packets: each firing counts as one."""
 
     def check(self, mount: Mount) -> None:
         """Each mount can be simulated."""
@@ -21,9 +19,7 @@ class PatternTiming(Timing):
     def pace(self, mount: Mount) -> Pace:
         """By the pattern's mean rate."""
         pattern = mount.sensor.pattern
-        rows = len(pattern.time_ns)
-        firings = min(PACKET_FIRINGS, rows)
-        return Pace(max(pattern.period_ns * firings // rows, 1), firings)
+        return Pace(max(pattern.period_ns // len(pattern.time_ns), 1), 1)
 
     def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
         """The firings of equal times; the pattern begins at `start_ns`."""
@@ -34,7 +30,10 @@ class PatternTiming(Timing):
             number = np.arange(first, end)
             counts = (pattern.count_before(first * period_ns), pattern.count_before(end * period_ns))
             fired = firings(pattern, start_ns, *counts)
-            yield Batch(fired[in_view(mount, fired)], number, start_ns + (number + 1) * period_ns)
+            yield Batch(fired[in_view(mount, fired.encoder_rad)], number, start_ns + (number + 1) * period_ns)
+
+    def pattern(self, mount: Mount) -> FramePattern:
+        return FramePattern(mount.sensor.pattern)
 
 
 def firings(pattern: ScanPattern, start_ns: int, first: int, end: int) -> Firings:
@@ -48,7 +47,7 @@ def firings(pattern: ScanPattern, start_ns: int, first: int, end: int) -> Firing
     )
 
 
-def in_view(mount: Mount, fired: Firings) -> Flags:
-    """(N,) which firings are in the mount's horizontal field of view."""
+def in_view(mount: Mount, azimuth_rad: Array) -> Flags:
+    """(N,) which azimuths are in the mount's horizontal field of view."""
     low, high = mount.azimuth_fov_deg or (0.0, 360.0)
-    return np.asarray((np.degrees(fired.encoder_rad) - low) % 360 <= ((high - low) % 360 or 360.0))
+    return np.asarray((np.degrees(azimuth_rad) - low) % 360 <= ((high - low) % 360 or 360.0))

@@ -35,6 +35,7 @@ from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.sensors.realism import Realism, RealismOrName, resolved
 from lidarcfg.sensors.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
+from lidarcfg.units import MINUTE_NS
 
 Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 SENSORS_MAX = 1000
@@ -166,6 +167,11 @@ class Mount:
         return self.return_mode not in SINGLE
 
     @property
+    def frame_ns(self) -> int:
+        """How long a revolution takes, or a frame of a scan pattern."""
+        return self.sensor.pattern.frame_ns if self.sensor.scan_pattern else round(MINUTE_NS / self.rpm)
+
+    @property
     def T_vehicle_sensor(self) -> Array:
         """(4, 4), sensor → vehicle."""
         return pose(self.position_m, self.rpy_rad)
@@ -278,6 +284,9 @@ def _mount(path: Path, index: int, given: MountFile, sensor: Sensor, model: str 
     if sensor.rotation and not sensor.rotation.rpm_min <= given.rpm <= sensor.rotation.rpm_max:
         allowed = f"{sensor.rotation.rpm_min:g} to {sensor.rotation.rpm_max:g}"
         raise error_at(path, (*at, "rpm"), f"{given.rpm:g} is outside {sensor.name}'s {allowed}")
+    for key in ("rpm", "phase_deg"):
+        if sensor.scan_pattern and key in given.model_fields_set:
+            raise error_at(path, (*at, key), f"{sensor.name} has a scan pattern and does not turn; remove the key")
     realism = _realism(path, index, given.realism, sensor)
     try:
         azimuth_fov_deg = sensor.field_of_view_deg(given.azimuth_fov_deg)
@@ -375,7 +384,7 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
                 "host": mount.host,
                 "data_port": mount.data_port,
                 "telemetry_port": mount.telemetry_port,
-                "rpm": mount.rpm,
+                **({} if mount.sensor.scan_pattern else {"rpm": mount.rpm}),
                 "return_mode": mount.return_mode,
                 **({"azimuth_fov_deg": list(mount.azimuth_fov_deg)} if mount.azimuth_fov_deg else {}),
                 **({"range_m": list(mount.range_m)} if mount.range_m else {}),

@@ -8,6 +8,7 @@ An .npz may be packed instead: channels fire in turn at `rate_hz`; rows of `azim
 channel, hold by how many hundredths of a degree each firing differs from the channel's last one, the first from 0.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,7 @@ COLUMNS = {  # of the table, and the limits of their values
 WHOLE = "time_ns", "channel"  # columns of whole numbers
 PACKED = "rate_hz", "azimuth_steps", "elevation_steps"
 HUNDREDTHS = 36000  # of a degree, all around
+GAP_DEG = 10.0  # without firings, from which on a pattern is not all around
 ROWS_MAX = 10_000_000
 CSV_MAX = 1 << 30  # bytes
 
@@ -80,6 +82,17 @@ class ScanPattern:
     def channels(self) -> int:
         """The number of channels."""
         return int(self.channel.max()) + 1
+
+    @property
+    def azimuth_fov_deg(self) -> tuple[float, float] | None:
+        """From and to, clockwise, rounded outward: all but the widest gap, if that is wider than GAP_DEG."""
+        azimuth_deg = np.unique(np.degrees(self.azimuth_rad) % 360)
+        gaps_deg = np.diff(azimuth_deg, append=azimuth_deg[0] + 360)
+        widest = int(gaps_deg.argmax())
+        if gaps_deg[widest] <= GAP_DEG:
+            return None
+        first_deg = azimuth_deg[(widest + 1) % len(azimuth_deg)]
+        return math.floor(first_deg * 100) / 100, math.floor(azimuth_deg[widest] * 100 + 1) / 100
 
     def count_before(self, elapsed_ns: int) -> int:
         """The number of firings before a time after the start of a pattern that repeats."""

@@ -11,7 +11,7 @@ import numpy as np
 from lidarcfg.core import packets as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Times
-from lidarcfg.sensors.firing import Batch, Firings, Pace, Pattern, Timing
+from lidarcfg.sensors.firing import Batch, Firings, Pace, Pattern, Timing, joined
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import FIRING, Sensor
 from lidarcfg.units import MINUTE_NS, SECOND_NS
@@ -157,18 +157,10 @@ def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, packets: int,
             low, high = mount.azimuth_fov_deg
             width = (high - low) % 360 or 360  # from 0 to 360 is all around
             inside = (np.degrees(schedule.head_rad(fired)) - low) % 360 <= width
-            fired = _joined(rest, fired[np.repeat(inside.ravel(), schedule.per_azimuth * lasers)])
+            fired = joined([rest, fired[np.repeat(inside.ravel(), schedule.per_azimuth * lasers)]])
             full = len(fired.time_ns) // (schedule.sequences * lasers) * schedule.sequences * lasers
             rest = fired[full:]
             fired = fired[:full]
         _, ends_ns = schedule.stamps_ns(fired)
         yield Batch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000)
         sent += len(ends_ns)
-
-
-def _joined(one: Firings, other: Firings) -> Firings:
-    return Firings(
-        np.concatenate([one.time_ns, other.time_ns]),
-        np.concatenate([one.laser, other.laser]),
-        np.concatenate([one.encoder_rad, other.encoder_rad]),
-    )

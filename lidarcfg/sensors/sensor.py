@@ -30,7 +30,7 @@ from lidarcfg.config.models import (
 )
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.realism import MeasuredRealism
 from lidarcfg.sensors.scan_pattern import PatternFile, ScanPattern, load_scan_pattern
 
@@ -134,6 +134,11 @@ class Range(Model):
         limits = self.reported or self
         return limits.min_m, limits.max_m
 
+    def holds_both(self, range_m: Array) -> Flags:
+        """(N,) which pairs of distances (N, 2) are both such that packets have them."""
+        least_m, most_m = self.reported_m
+        return np.asarray(((range_m >= least_m) & (range_m <= most_m)).all(axis=1))
+
 
 class Ports(Model):
     """The UDP ports that the sensor sends to by default."""
@@ -205,7 +210,7 @@ class Sensor(Model):
     housing: Housing | None = None
     realism: MeasuredRealism | None = None
     ports: Ports | None = None
-    azimuth_fov_deg: AzimuthFov | None = None  # from, to, clockwise from the x axis; none: all around
+    azimuth_fov_deg: AzimuthFov | None = None  # from, to, clockwise from x; none: all around, or a scan pattern's own
     firing: Firing | None = None  # of beams, where there is no codec; none: FIRING
     codec: Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")] | None = None
     _file: "File" = PrivateAttr(default_factory=lambda: File(""))
@@ -282,14 +287,20 @@ class Sensor(Model):
         return self._pattern.channels if self._pattern else len(self.beams.elevation_deg)
 
     @property
+    def elevation_span_deg(self) -> tuple[float, float]:
+        """The lowest and the highest elevation."""
+        elevation_deg = np.degrees(self._pattern.elevation_rad) if self._pattern else self.beams.elevation_deg
+        return float(np.min(elevation_deg)), float(np.max(elevation_deg))
+
+    @property
     def elevation_rad(self) -> Array:
-        """(count,) by laser id; empty with a scan pattern."""
-        return np.radians(np.array(self.beams.elevation_deg, np.float64))
+        """(count,) by laser id; 0 of a scan pattern's channels, whose firings have their own."""
+        return np.radians(self._table("elevation_deg"))
 
     @property
     def sin_elevation(self) -> Array:
-        """(count,) the sines of the elevations, ascending."""
-        return np.sort(maths.sin(self.elevation_rad))
+        """(beams,) the sines of the beams' elevations, ascending; none with a scan pattern."""
+        return np.sort(maths.sin(np.radians(np.array(self.beams.elevation_deg, np.float64))))
 
     @property
     def azimuth_offset_rad(self) -> Array:
@@ -353,6 +364,8 @@ def _load(path: Path, own: bool = False) -> Sensor:
     if sensor.scan_pattern:
         with errors_at(path, "scan_pattern", "file"):
             sensor._pattern = load_scan_pattern(path.parent / sensor.scan_pattern.file, sensor.scan_pattern.frame_ns)
+        if sensor.azimuth_fov_deg is None:
+            sensor = sensor.model_copy(update={"azimuth_fov_deg": sensor._pattern.azimuth_fov_deg})
     return sensor
 
 

@@ -53,22 +53,14 @@ def passing_beams(place: Array, target: Target, mount: Mount, phase: int, obstac
     Raises ConfigError if it is not known how the sensor fires.
     """
     fires = scanner(mount)
-    pattern = fires.pattern
-    sensor = mount.sensor
-    phases = pattern.phases(PHASES)
-    start_rad = pattern.heads_rad(PHASES)[phase % phases :: phases, None]
-    laser = pattern.laser
-    head = (start_rad + pattern.lag_rad).ravel()
-    gate = (start_rad + pattern.gating_rad).ravel()
-    azimuth = (start_rad + pattern.lag_rad + sensor.azimuth_offset_rad[laser]).ravel()
+    beams = fires.pattern.beams(mount.sensor, PHASES)
+    start_rad, which = beams.of_phase(phase % beams.phases)
+    head = (start_rad + beams.lag_rad[which]).ravel()
+    gate = (start_rad + beams.gating_rad[which]).ravel()
+    azimuth = (start_rad + beams.lag_rad[which] + beams.offset_rad[which]).ravel()
     elevation, forward, left, up = (
-        np.broadcast_to(column[laser], (len(start_rad), len(laser))).ravel()
-        for column in (
-            sensor.elevation_rad,
-            sensor.forward_offset_m,
-            sensor.lateral_offset_m,
-            sensor.vertical_offset_m,
-        )
+        np.broadcast_to(column[which], (len(start_rad), len(which))).ravel()
+        for column in (beams.elevation_rad, *beams.start_m.T)
     )
     cos_rise = maths.cos(elevation)
     way = np.stack([cos_rise * maths.cos(azimuth), -cos_rise * maths.sin(azimuth), maths.sin(elevation)], axis=1)

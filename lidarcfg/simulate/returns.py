@@ -21,7 +21,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.packets.families import pattern
-from lidarcfg.sensors.firing import Pattern
+from lidarcfg.sensors.firing import FramePattern, Pattern
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.meshes import Mesh
@@ -38,7 +38,7 @@ class Scanner:
     """The firing pattern of a sensor, independent of its pose."""
 
     sensor: Sensor
-    pattern: Pattern
+    pattern: Pattern | FramePattern
     range_m: tuple[float, float]  # least, greatest
     azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise; None: all around
 
@@ -134,23 +134,20 @@ def compiled(scanners: Sequence[Scanner], phases: int = PHASES) -> tuple[core.re
 
 
 def _compiled(one: Scanner, phases: int) -> core.returns.Scanner:
-    sensor = one.sensor
-    pattern = one.pattern
-    heads = pattern.heads_rad(phases)
-    laser = pattern.laser
+    beams = one.pattern.beams(one.sensor, phases)
     low, high = one.azimuth_fov_deg or (0.0, 360.0)
-    offsets = sensor.forward_offset_m, sensor.lateral_offset_m, sensor.vertical_offset_m
     return core.returns.Scanner(
-        cos_head=maths.cos(heads),
-        sin_head=maths.sin(heads),
-        start_rad=heads[0],
-        step_rad=pattern.step_rad / pattern.phases(phases),
-        phases=pattern.phases(phases),
-        lag_rad=np.ascontiguousarray(pattern.lag_rad),
-        gating_rad=np.ascontiguousarray(pattern.gating_rad),
-        offset_rad=sensor.azimuth_offset_rad[laser],
-        elevation_rad=sensor.elevation_rad[laser],
-        start_m=np.stack([column[laser] for column in offsets], axis=1),
+        cos_head=maths.cos(beams.heads_rad),
+        sin_head=maths.sin(beams.heads_rad),
+        start_rad=beams.heads_rad[0],
+        step_rad=beams.step_rad,
+        phases=beams.phases,
+        lag_rad=beams.lag_rad,
+        gating_rad=beams.gating_rad,
+        offset_rad=beams.offset_rad,
+        elevation_rad=beams.elevation_rad,
+        start_m=beams.start_m,
+        phase=beams.phase,
         range_m=one.range_m,
         fov_rad=np.radians((low, (high - low) % 360 or 360.0)),
     )

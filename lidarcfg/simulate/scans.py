@@ -16,7 +16,7 @@ from lidarcfg.clouds.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array, Times
 from lidarcfg.inputs import check_memory
 from lidarcfg.packets.families import timing
-from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Firings
+from lidarcfg.sensors.firing import NO_ELEVATIONS, RETURN_TYPES, Batch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.echoes import Echoes
@@ -42,8 +42,9 @@ STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the ot
 def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> Iterator[PointCloud]:
     """The points of each sensor's revolutions in its own frame, in the order in which they end.
 
-    A revolution begins where the head passes azimuth 0, or the start of a narrower field of view. Ranges are not
-    rounded as in packets; they are exact, except for the noise that the rig asks for. Raises ConfigError.
+    A revolution begins where the head passes azimuth 0, or the start of a narrower field of view; of a scan pattern
+    it is a frame. Ranges are not rounded as in packets; they are exact, except for the noise that the rig asks for.
+    Raises ConfigError.
     """
     options = options or SimulationOptions()
     tasks = build_tasks(drive, options.chunk_ns)
@@ -65,7 +66,7 @@ def _check_memory(tasks: Sequence[Task]) -> None:
     held = 0
     for task in tasks:
         rate = most_returns_per_ns(task.mount, task.timing.pace(task.mount))
-        held += round(min(MINUTE_NS / task.mount.rpm * rate + 2 * CHUNK_RAYS, task.duration_ns * rate))
+        held += round(min(task.mount.frame_ns * rate + 2 * CHUNK_RAYS, task.duration_ns * rate))
     what = f"a revolution of each sensor, {len(tasks):,} in all, and what is traced ahead,"
     check_memory(what, RETURN_BYTES * held, "export fewer sensors at a time")
 
@@ -81,13 +82,13 @@ class _Chunk:
 def _sensor_scans(task: Task, runner: TaskRunner, object_names: tuple[str, ...]) -> Iterator[PointCloud]:
     """The scans of one sensor: a cloud for each revolution, in the sensor's frame."""
     mount = task.mount
-    lowest = np.argsort(np.argsort(mount.sensor.elevation_rad, kind="stable")).astype(np.uint8)
-    turns = _RevolutionCounter.of(task)
+    ring = mount.sensor.ring.astype(np.uint8)
+    counter = _FrameCounter(task.start_ns, mount.frame_ns) if mount.sensor.scan_pattern else _RevolutionCounter.of(task)
 
     def make(batch: Batch, found: Echoes) -> _Chunk:
         firing, cloud = _points(mount, batch.firings, found)
-        number = turns.number(batch.firings.time_ns[firing], batch.firings.encoder_rad[firing])
-        return _Chunk(replace(cloud, ring=lowest[batch.firings.laser[firing]], object_names=object_names), number)
+        number = counter.number(batch.firings.time_ns[firing], batch.firings.encoder_rad[firing])
+        return _Chunk(replace(cloud, ring=ring[batch.firings.laser[firing]], object_names=object_names), number)
 
     begun: list[PointCloud] = []  # of many sensors one waits for the others: what it holds then is little else
     current = 0
@@ -117,6 +118,18 @@ def _merge_and_clear(clouds: list[PointCloud]) -> PointCloud:
     whole = concatenate(clouds)
     clouds.clear()
     return whole
+
+
+@dataclass(frozen=True)
+class _FrameCounter:
+    """The frames of a scan pattern, one after the other."""
+
+    start_ns: int
+    frame_ns: int
+
+    def number(self, time_ns: Times, _encoder_rad: Array) -> Times:
+        """(N,): the frames of firings."""
+        return np.asarray((time_ns - self.start_ns) // self.frame_ns)
 
 
 @dataclass(frozen=True)
@@ -161,7 +174,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
             kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
     firing, which = np.nonzero(there)
     cloud = PointCloud(
-        xyz=beam_ends(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
+        xyz=firing_ends(sensor, fired[firing], range_m[firing, which]),
         intensity=found.reflectivity[firing, which],
         ring=np.empty(0, np.uint8),
         time_ns=fired.time_ns[firing],
@@ -173,10 +186,22 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     return firing, cloud
 
 
-def beam_ends(sensor: Sensor, laser: NDArray[np.integer[Any]], encoder_rad: Array, range_m: Array) -> Array:
-    """(N, 3) the ends of the beams in the sensor's frame."""
+def firing_ends(sensor: Sensor, fired: Firings, range_m: Array) -> Array:
+    """(N, 3) the ends of the beams of firings in the sensor's frame."""
+    return beam_ends(sensor, fired.laser, fired.encoder_rad, range_m, fired.elevation_rad)
+
+
+def beam_ends(
+    sensor: Sensor,
+    laser: NDArray[np.integer[Any]],
+    encoder_rad: Array,
+    range_m: Array,
+    elevation_rad: Array = NO_ELEVATIONS,
+) -> Array:
+    """(N, 3) the ends of beams in the sensor's frame; those of a scan pattern have elevations."""
     azimuth_rad = encoder_rad + sensor.azimuth_offset_rad[laser]
-    elevation_rad = sensor.elevation_rad[laser]
+    if not len(elevation_rad):
+        elevation_rad = sensor.elevation_rad[laser]
     forward_m = sensor.forward_offset_m[laser]
     left_m = sensor.lateral_offset_m[laser]
     flat_m = range_m * maths.cos(elevation_rad)

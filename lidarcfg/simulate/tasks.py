@@ -15,6 +15,7 @@ from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import Array
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Timing
+from lidarcfg.sensors.pattern_timing import in_view
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import Range
 from lidarcfg.simulate.echoes import Echoes
@@ -109,7 +110,9 @@ def _with_range(mount: Mount) -> Mount:
 
 
 def fired_fraction(mount: Mount) -> float:
-    """The fraction of a revolution in which the mount's lasers fire."""
+    """The fraction of a revolution, or of a scan pattern's firings, in which the mount's lasers fire."""
+    if mount.sensor.scan_pattern:
+        return float(in_view(mount, mount.sensor.pattern.azimuth_rad).mean())
     low, high = mount.azimuth_fov_deg or (0.0, 360.0)
     return ((high - low) % 360.0 or 360.0) / 360.0
 

@@ -25,7 +25,8 @@ def mirrored_pairs(study: Study, rig: Rig) -> list[tuple[int, int, float]]:
 
 def has_its_sensors(study: Study, rig: Rig) -> bool:
     """Whether a rig has the sensors of a study."""
-    return [mount.sensor.beams for mount in rig.mounts] == [slot.sensor.beams for slot in study.slots]
+    ours, theirs = ([one.sensor for one in some] for some in (study.slots, rig.mounts))
+    return [(one.beams, one.scan_pattern) for one in theirs] == [(one.beams, one.scan_pattern) for one in ours]
 
 
 def poses_in_study(study: Study, rig: Rig) -> Array:

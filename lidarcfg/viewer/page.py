@@ -257,7 +257,7 @@ def _mount(mount: Mount) -> dict[str, Any]:
         "model": mount.sensor.name,
         "position_m": list(mount.position_m),
         "rpy_rad": list(mount.rpy_rad),
-        "elevation_deg": sorted(mount.sensor.beams.elevation_deg),
+        "elevation_deg": sorted(mount.sensor.beams.elevation_deg or mount.sensor.elevation_span_deg),
         "azimuth_fov_deg": mount.azimuth_fov_deg and list(mount.azimuth_fov_deg),
         "range_m": mount.sensor.range and mount.sensor.range.max_m,
     }

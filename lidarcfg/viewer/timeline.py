@@ -93,7 +93,7 @@ class Timeline:
 
 def timeline(contents: Contents) -> Timeline | None:
     """The frames: of the points, or else of the motion; None if nothing has a time."""
-    length_ns = round(6e10 / min(mount.rpm for mount in contents.rigs[0].mounts)) if contents.rigs else FRAME_NS
+    length_ns = max(mount.frame_ns for mount in contents.rigs[0].mounts) if contents.rigs else FRAME_NS
     time_ns = contents.cloud.time_ns
     if len(time_ns):
         start_ns = int(time_ns.min())

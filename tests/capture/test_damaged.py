@@ -14,6 +14,7 @@ from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, write_datagrams
 
 DAMAGES = {  # bytes of a packet and what stands there instead
+    "vlp-16": [(2, b"\xff\xff"), (602, b"\xb4\x8c"), (1102, b"\x01\xc0")],  # azimuths beyond a revolution
     "pandar-xt32": [(0, b"\xab\xcd\x05"), (6, b"\x40"), (7, b"\x06"), (9, b"\0"), (1062, b"\x55")],
     "qt128": [(2, b"\x01"), (3, b"\x04"), (7, b"\x05"), (1073, b"\x00")],
     "helios-16p": [(0, b"\x55\xaa\x05\x5b"), (31, b"\x31"), (32, b"\x01"), (42, b"\xff\xdd"), (442, b"\0\0")],

@@ -16,6 +16,7 @@ from lidarcfg.capture.pcap import Datagram
 from lidarcfg.capture.replay import read_selected, repeat, replay
 from lidarcfg.capture.selection import Selection
 from lidarcfg.errors import PacketError
+from lidarcfg.packets.emulator import Emulator
 from tests.capture_fixtures import write_datagrams
 from tests.command_line import lidarcfg, started
 
@@ -162,3 +163,34 @@ def test_where_a_sensor_cannot_have_its_address_it_is_told(tmp_path):
     done = lidarcfg("replay", tmp_path / "p.pcap", "localhost:9")
     assert "203.0.113.1 sent from 127.0.113.1" in done.stdout
     assert "10.0.113.1: not addresses of this machine, so their datagrams came from its own" in done.stderr
+
+
+class Still(Emulator):
+    """A sensor that answers nobody."""
+
+    name = "still"
+    services = ()
+
+    def __init__(self, target):
+        self.target = target
+
+    def destination(self, port):
+        return self.target
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has all of 127.0.0.0/8")
+def test_an_emulated_sensor_keeps_the_port_it_sends_from():
+    """But for one that a driver opens: it would find that taken."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5)
+        port = receiver.getsockname()[1]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.168.1.201", 0))
+            own = free.getsockname()[1]
+        sent = [Datagram(n, "192.168.1.201", source, port, bytes([n])) for n, source in enumerate((own, port))]
+        replay(sent, "127.0.0.1", None, emulators={"192.168.1.201": Still(("127.0.0.1", port))})
+        senders = [receiver.recvfrom(10)[1] for _ in sent]
+    assert senders[0] == ("127.168.1.201", own)
+    assert senders[1][0] == "127.168.1.201"
+    assert senders[1][1] != port

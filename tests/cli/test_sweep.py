@@ -23,11 +23,15 @@ from distributed import Client
 import lidarcfg
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement import plan as plans
+from lidarcfg.placement.cheapest import cheapest
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import load_plan
+from lidarcfg.placement.study import load_study
 from lidarcfg.placement.sweep import Cluster, Processes, WorkerDiedError, sweep
 from lidarcfg.report.sweep import SweepFolder
+from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg as command
+from tests.placement.test_requirements_search import CHOICE
 
 BIN = Path(sys.executable).parent
 PLAN = Path(__file__).parents[1] / "placement/studies/plan.yaml"
@@ -215,6 +219,11 @@ def cluster():
         subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         for words in (scheduler, worker, worker)
     ]
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        with suppress(OSError), socket.create_connection(address.removeprefix("tcp://").split(":")):
+            break
+        time.sleep(0.1)
     yield address
     for part in parts:
         part.kill()
@@ -222,11 +231,6 @@ def cluster():
 
 
 def test_a_cluster_finds_the_same(plan, serial, cluster, tmp_path, monkeypatch):
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        with suppress(OSError), socket.create_connection(cluster.removeprefix("tcp://").split(":")):
-            break
-        time.sleep(0.1)
     command("sweep", plan, "-o", tmp_path / "out", "--scheduler", cluster)
     assert rows(tmp_path / "out") == rows(serial)
     assert rigs(tmp_path / "out") == rigs(serial)
@@ -236,6 +240,18 @@ def test_a_cluster_finds_the_same(plan, serial, cluster, tmp_path, monkeypatch):
     assert not list((tmp_path / "none").glob("runs/*"))
     with Client(cluster, set_as_default=False) as ours:  # the command's own is closed
         assert ours.run_on_scheduler(_clients) == {ours.id, "fire-and-forget"}
+
+
+def test_a_cluster_finds_the_cheapest_rig(cluster, tmp_path):
+    study = tmp_path / "study.yaml"
+    study.write_text(CHOICE.replace("RETURNS", "60").replace("within_m: [2, 3]", "within_m: [2, 2.4]"))
+    command("optimize", study, "-o", tmp_path / "out", "--scheduler", cluster)
+    alone = cheapest(load_study(study))
+    assert [one.position_m for one in load_rig(tmp_path / "out/rig.yaml").mounts] == [
+        one.position_m for one in alone.placement.rig.mounts
+    ]
+    with open(tmp_path / "out/combinations.csv", newline="") as file:
+        assert [row["combination"] for row in csv.DictReader(file)] == [one.name for one in alone.tried]
 
 
 def _clients(dask_scheduler):

@@ -44,8 +44,8 @@ def scanner(phases=4, step_deg=1.0, **changes):
     given = {
         "cos_head": np.cos(heads), "sin_head": np.sin(heads), "start_rad": 0.0,
         "step_rad": math.radians(step_deg / phases), "phases": phases, "lag_rad": none, "gating_rad": none,
-        "offset_rad": none, "elevation_rad": FIRINGS, "start_m": np.zeros((3, 3)), "range_m": (0.5, 100.0),
-        "fov_rad": (0.0, 2 * math.pi),
+        "offset_rad": none, "elevation_rad": FIRINGS, "start_m": np.zeros((3, 3)),
+        "phase": np.empty(0, np.int32), "range_m": (0.5, 100.0), "fov_rad": (0.0, 2 * math.pi),
     }  # fmt: skip
     return returns.Scanner(**given | changes)
 
@@ -145,6 +145,26 @@ def test_probabilities():
     assert returns.detection_probabilities(counts[:0], np.array([2, 2]), 9).tolist() == []
 
 
+def still(**changes):
+    """Three beams ahead at -10°, 0° and 10°, of two frames: the highest is in the second."""
+    given = {"cos_head": np.ones(2), "sin_head": np.zeros(2), "step_rad": 0.0, "phase": np.array([0, 0, 1], np.int32)}
+    return scanner(2, **given | changes)
+
+
+@pytest.mark.parametrize("turned_deg", [0, 360, -720, -5, 355, 5])
+def test_heads_that_stand_still(turned_deg):
+    """The wall, 2 m high and 5 m ahead, is in all beams from 1 m; 50 m ahead only in the level one, if that is straight.
+
+    All are in nothing behind and beside.
+    """
+    aside = np.full(3, math.radians(turned_deg))
+    counts = np.zeros((4, 1, 2), np.int32)
+    returns.count_returns(
+        PLACES, np.arange(4), [still(lag_rad=aside, gating_rad=aside)], R, T, TARGET, obstacles(), counts
+    )
+    assert counts[:, 0].tolist() == [[2, 1], [int(turned_deg % 360 == 0), 0], [0, 0], [0, 0]]
+
+
 def count_with(**changes):
     """A call of count_returns with some arguments changed."""
     given = {
@@ -170,7 +190,12 @@ COUNTS, TWO = np.zeros((1, 2, 2), np.int32), np.array([2, 2])
         (lambda: scanner(elevation_rad=np.zeros(4)), "elevation_rad"),
         (lambda: scanner(start_m=np.zeros((3, 2))), "start_m"),
         (lambda: scanner(sin_head=np.zeros(2)), "sin_head"),
-        (lambda: scanner(step_rad=0.0), "step_rad"),
+        (lambda: scanner(step_rad=1e-9), "step_rad"),
+        (lambda: scanner(phase=np.zeros(3, np.int32)), "phase"),
+        (lambda: scanner(step_rad=0.0), "cos_head"),
+        (lambda: still(phase=np.zeros(2, np.int32)), "phase"),
+        (lambda: still(phase=np.array([0, 1, 2], np.int32)), "phase"),
+        (lambda: still(phase=np.array([0, -1, 1], np.int32)), "phase"),
         (lambda: scanner(step_rad=math.nan), "step_rad"),
         (lambda: scanner(range_m=(1.0,)), "range_m"),
         (lambda: scanner(lag_rad=np.array([0, math.nan, 0])), "lag_rad"),

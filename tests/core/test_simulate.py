@@ -52,6 +52,7 @@ class Firings(NamedTuple):
     time_ns: np.ndarray
     laser: np.ndarray
     encoder_rad: np.ndarray
+    elevation_rad: np.ndarray = np.empty(0)
 
 
 def sphere(shape=BALL):
@@ -137,6 +138,18 @@ def test_beams_hit_the_sphere_the_ground_or_nothing():
     assert found.cosine.ravel() == pytest.approx([1, 0.5, 1])
 
 
+def test_beams_with_elevations_of_their_own():
+    """As those of lasers of these elevations, whichever laser fires."""
+    rng = np.random.default_rng(2)
+    head_deg = rng.uniform(0, 360, 400)
+    laser = rng.integers(0, 2, 400)
+    found = traced(firings(head_deg, laser))
+    own = firings(head_deg, rng.integers(0, 2, 400))
+    own = own._replace(elevation_rad=np.arcsin(lasers([0, -30]).sin_elevation)[laser])
+    np.testing.assert_allclose(traced(own).range_m, found.range_m, rtol=1e-9)
+    assert 0 < np.isfinite(found.range_m).sum() < 400
+
+
 def test_no_firings():
     assert traced(firings([])).range_m.shape == (0, 1)
 
@@ -198,6 +211,7 @@ FIRED = firings([90, 0])
         ("firings", FIRED._replace(laser=np.zeros(1, np.uint8)), "firings.laser: one for each time"),
         ("firings", FIRED._replace(encoder_rad=np.zeros(3)), "firings.encoder_rad: one for each time"),
         ("firings", FIRED._replace(encoder_rad=np.zeros(2, np.float32)), "firings.encoder_rad: another dtype"),
+        ("firings", FIRED._replace(elevation_rad=np.zeros(1)), "firings.elevation_rad: one for each time, or none"),
         ("lasers", lasers([0.0], 3), "lasers.across: one or nine"),
         ("lasers", lasers([0.0])._replace(up_m=np.zeros(2)), "lasers.up_m: one for each laser"),
         ("surfaces", Surfaces(np.zeros(4, np.int32), np.zeros(2, np.uint8)), "surfaces.object: of nothing, the ground"),

@@ -14,7 +14,7 @@ from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.io.firings import save_capture, save_firings
-from lidarcfg.packets.robosense.layout import DIFOP
+from lidarcfg.packets.robosense.layout import HELIOS
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.tasks import START_NS
@@ -326,7 +326,7 @@ def test_a_helios_that_changes_its_mode(tmp_path, model, late):
         datagrams.remove(difop)
         counts[mode] = len(datagrams)
         if late and mode == "strongest":
-            payload = np.frombuffer(difop.payload, DIFOP).copy()
+            payload = np.frombuffer(difop.payload, HELIOS.difop).copy()
             payload["microseconds"] += 15_000
             difop = replace(difop, payload=payload.tobytes())
         streams += [difop, *datagrams]

@@ -128,7 +128,9 @@ def test_a_model_without_a_price(tmp_path):
 
 def test_heights_and_radians_are_warned_of(tmp_path):
     path = study(tmp_path, "object: {size_m: [1, 1, 1]}, within_m: [2, 3], returns: 1, headings_deg: [0, 1.5708]")
-    assert "headings_deg: 1.5708 looks like 90° in radians; give degrees" in lidarcfg("validate", path).stderr
+    said = "headings_deg: 1.5708 looks like 90° in radians; give degrees"
+    assert said in lidarcfg("validate", path).stderr
+    assert said in lidarcfg("verify", path, rig(tmp_path)).stderr
     path = study(tmp_path, "sensors_at_most: 2")
     assert (
         "sensors[0].position_m[2]: this is 0.2 m below the ground"

@@ -12,10 +12,9 @@ from lidarcfg import core
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.simulate.returns import PHASES, Poses, Target, compiled, returns, scanner
-from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
-from lidarcfg.world.tracer import build_bvh
+from lidarcfg.world.obstacles import NO_OBSTACLES
 from tests.naive import returns as naive
-from tests.returns_cases import at_place, box, lidars, mount, revolution, scene_with, simulated, tracer_of
+from tests.returns_cases import at_place, box, lidars, mount, obstacles, revolution, simulated, tracer_of
 
 BODY = box(4.5, 1.8, 1.45)
 SIZES = (0.5, 0.5, 1.75), (4.5, 1.8, 1.45), (0.63, 0.63, 0.2)
@@ -31,12 +30,6 @@ MOUNTS = (
     mount("os1-32", (0, 0, 2.0), (0, 0, 77), 600.0, (90.0, 225.0), {"columns": 512}),
     mount("pandar-xt32", (0, 0.95, 1.0), (-90, 0, 0)),
 )
-
-
-def obstacles(mesh):
-    """A mesh in the way, relative to a point that is not the origin."""
-    point = np.array([3.0, -2.0, 1.0])
-    return Obstacles.of(build_bvh(scene_with([mesh]), np.array([True]), point), point)
 
 
 def places(rng, count, size_m, far_m=30.0):

@@ -1,13 +1,17 @@
 """A tree of frames: each has its pose in its parent, and so in any other frame above or beside it."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from lidarcfg.config.models import Vec3
 from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array, angles, inverse, pose
 from lidarcfg.io.frames import BASE_LINK
 
+UNIT = 1e-3  # the length of a quaternion differs by at most that from 1
 NAMED = 12  # frames that an error names, at most
 
 
@@ -99,3 +103,19 @@ def listed(names: tuple[str, ...]) -> str:
     """Some names, separated by commas, and how many more there are."""
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + more
+
+
+def pose_of_quaternion(where: str, position_m: Sequence[float], wxyz: Sequence[float]) -> Pose:
+    """The pose of a position (3,) and a unit quaternion w, x, y, z. Raises ConversionError; `where` begins it."""
+    if not all(map(math.isfinite, (*position_m, *wxyz))):
+        raise ConversionError(f"{where}: is not finite")
+    length = math.hypot(*wxyz)
+    if abs(length - 1) > UNIT:
+        raise ConversionError(f"{where}: its quaternion has the length {length:.4g}; a rotation has 1")
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    w, x, y, z = wxyz
+    T[:3, :3] = Rotation.from_quat((x, y, z, w)).as_matrix()
+    T[:3, 3] = position_m
+    return Pose.of(T)

@@ -9,9 +9,48 @@ from lidarcfg.config.models import COORDINATE_MAX_M, NAME_MAX
 from lidarcfg.errors import ConversionError
 from lidarcfg.io.frames import BASE_LINK
 from lidarcfg.io.kits.frames import FrameTree, Pose, listed
-from lidarcfg.io.kits.models import guessed_model, is_lidar, is_other
 from lidarcfg.sensors.rig import MOUNT_NAME, RETURN_MODE, RPM, Mount, Rig, default_host, ports
 from lidarcfg.sensors.sensor import Sensor, catalogue, custom_sensor, load_sensor
+
+ALIASES = {  # what people call models of the catalogue besides their names, without case and punctuation
+    "alphaprime": "vls-128",
+    "hdl32": "hdl-32e",
+    "vlp32": "vlp-32c",
+    "xt16": "pandar-xt16",
+    "xt32": "pandar-xt32",
+    "xt32m": "xt32m2x",
+}
+BEAMS_ONLY = "fan-"  # models of the catalogue that nobody sells
+LIDARS = re.compile(
+    r"lidar|laser|velodyne|ouster|hesai|pandar|robosense|helios|bpearl|livox|puck|(^|[_/])(os|os[012]|vlp|vls|hdl)([_/\d]|$)"
+)
+OTHERS = re.compile(r"cam|imu|gnss|gps|(^|[_/])ins([_/]|$)|radar|sonar|ultrasonic|depth|optical|stereo|realsense|zed")
+
+
+def guessed_model(*texts: str) -> str | None:
+    """The model of the catalogue that the first of the texts to name one names: its longest name counts."""
+    known = {plain(name): name for name in catalogue() if not name.startswith(BEAMS_ONLY)} | ALIASES
+    for text in texts:
+        found = [name for name in known if name in plain(text)]
+        if found:
+            return known[max(found, key=len)]
+    return None
+
+
+def plain(text: str) -> str:
+    """A text without case, blanks and punctuation."""
+    return re.sub(r"[^a-z0-9]", "", text.lower())
+
+
+def is_other(name: str) -> bool:
+    """Whether a frame is called as a sensor that is no LiDAR."""
+    return bool(OTHERS.search(name.lower()))
+
+
+def is_lidar(name: str) -> bool:
+    """Whether a frame is called as a LiDAR."""
+    return bool(LIDARS.search(name.lower())) or guessed_model(name) is not None
+
 
 LEAVE_OUT = "none"  # in place of a model: the frame is no LiDAR of the rig
 DRIVER_FRAME = "os_lidar"  # below os_sensor, which is the frame of an Ouster's points here

@@ -10,9 +10,8 @@ from typing import Any
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import check_memory, check_regular
-from lidarcfg.io.kits.frames import listed
+from lidarcfg.io.kits.frames import listed, pose_of_quaternion
 from lidarcfg.io.kits.kit import Frame, Kit
-from lidarcfg.io.kits.quaternions import pose_of_quaternion
 
 SENSOR = "sensor.json"
 CALIBRATED = "calibrated_sensor.json"

@@ -6,14 +6,36 @@ from pathlib import Path
 from lidarcfg.config.kinds import kind_of
 from lidarcfg.config.models import load_keys
 from lidarcfg.errors import ConversionError
-from lidarcfg.io.bag_reader import is_bag
+from lidarcfg.io.bag_reader import is_bag, open_bag
+from lidarcfg.io.carla import read_carla
 from lidarcfg.io.kits.autoware import FILES, is_calibration, read_autoware
-from lidarcfg.io.kits.carla import read_carla
-from lidarcfg.io.kits.kit import Kit
+from lidarcfg.io.kits.frames import FrameTree, Joint, pose_of_quaternion
+from lidarcfg.io.kits.kit import Kit, kit_of_tree
 from lidarcfg.io.kits.kitti import is_kitti, read_kitti
 from lidarcfg.io.kits.nuscenes import read_nuscenes, tables_folder
-from lidarcfg.io.kits.tf import read_tf_static
-from lidarcfg.io.kits.urdf import SUFFIXES, read_urdf
+from lidarcfg.io.urdf import SUFFIXES, read_urdf
+
+TF_STATIC = "/tf_static"
+
+
+def read_tf_static(path: Path, models: Mapping[str, str]) -> Kit:
+    """The kit of a bag's static transforms; of a frame that is sent again the last counts. Raises ConversionError."""
+    joints: dict[str, Joint] = {}
+    with open_bag(path) as bag:
+        if TF_STATIC not in bag.topics:
+            raise ConversionError(f"{path}: has no {TF_STATIC}; its topics: {', '.join(sorted(bag.topics)) or 'none'}")
+        for message in bag.messages(TF_STATIC):
+            for one in message.value.transforms:
+                child = one.child_frame_id.strip("/")
+                at = one.transform.translation
+                turn = one.transform.rotation
+                where = f"{path}: {TF_STATIC} of {child}"
+                pose = pose_of_quaternion(where, (at.x, at.y, at.z), (turn.w, turn.x, turn.y, turn.z))
+                joints[child] = Joint(one.header.frame_id.strip("/"), pose)
+    if not joints:
+        raise ConversionError(f"{path}: {TF_STATIC} has no transforms")
+    return kit_of_tree(str(path), path.stem, FrameTree(str(path), joints), models, {})
+
 
 ALLOWED = "a URDF, Autoware's calibration, nuScenes' tables, a bag, KITTI's calibration, JSON for CARLA"
 

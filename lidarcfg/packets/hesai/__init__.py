@@ -19,7 +19,7 @@ from lidarcfg.packets.hesai.emulator import HesaiEmulator
 from lidarcfg.packets.hesai.layout import bytes_of
 from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, resolutions, sending, unit, unit_of
 from lidarcfg.packets.point_fields import STAMPED
-from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Pattern
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Pattern, ranked
 from lidarcfg.sensors.rig import SINGLE, Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.units import MINUTE_NS
@@ -77,6 +77,8 @@ class Hesai(Codec):
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
         """One return alone is the strongest."""
         kinds = np.array(super().return_types(mount, range_m, reflectivity))
+        if mount.dual and mount.return_mode != "two-strongest":
+            kinds = ranked(kinds, self.unit.range.holds_both(range_m), reflectivity)
         if mount.dual:
             kinds[encode.holds_one(self.unit, range_m, reflectivity)] = RETURN_TYPES["strongest"]
         return kinds

@@ -34,6 +34,10 @@ from lidarcfg.units import MINUTE_NS
 
 PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
 LASERS = {16, 32, 40, 64, 128}
+OLDER = {  # first bytes, of models whose packets have no protocol, and sizes: with and without a sequence number
+    "Pandar40P": (b"\xff\xee", (1262, 1266)),
+    "Pandar64": (b"\xee\xff\x40\x06", (1194, 1198)),
+}
 NUMBERS = 1 << 32  # of packets
 SLACK = 8  # lost packets beyond those that fit the elapsed time; with more, the sensor was restarted
 BY_BLOCK = 254  # which of a pair is the strongest, its block tells
@@ -320,14 +324,24 @@ class PacketLossCounter:
 
 def matches(size: int, payload: bytes) -> bool:
     """Whether a payload begins as one of Hesai's."""
+    if _older(size, payload):
+        return True
     if size < HEADER.itemsize or not payload.startswith(START):
         return False
     header = np.frombuffer(payload, HEADER, 1)[0]
     return (int(header["major"]), int(header["minor"])) in PROTOCOLS and int(header["lasers"]) in LASERS
 
 
+def _older(size: int, payload: bytes) -> str | None:
+    """The model of Hesai's that sends such packets without a protocol, if there is one."""
+    return next((name for name, (start, sizes) in OLDER.items() if size in sizes and payload.startswith(start)), None)
+
+
 def identify(where: str, packets: Bytes, known: Sequence[Unit]) -> Unit:
     """Which of the known sensors sends these packets (P, size). Raises PacketError, which begins with `where`."""
+    if older := _older(packets.shape[1], packets[0].tobytes()):
+        names = ", ".join(unit.name for unit in known)
+        raise PacketError(f"{where} sends Hesai's {older} packets of {packets.shape[1]} bytes; read are {names}")
     header = _usual_header(packets)
     size = packets.shape[1]
     for unit in known:

@@ -16,6 +16,7 @@ FIRING_TIMES = "-firetimes.csv"
 ENERGY_SAVING = 3  # an operational state of the Pandar128
 NAMED = re.compile(r"-\d+\.\d+\.\d+\.\d+-\d+-angles\.csv$")  # whose they are, by address and port
 ROW = re.compile(r"\s*(\d+)\s*,\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*,?\s*")
+NO_ANGLE = re.compile(r"\s*\d+\s*,.*?([-+]?\b(?:nan|inf|infinity))\b.*", re.IGNORECASE)
 
 
 def correction_lines(unit: Unit) -> list[str]:
@@ -110,6 +111,8 @@ def parse_corrections(name: str, content: bytes) -> Beams:
     """The angles of channels 1, 2 and on. Raises PacketError, which says where."""
     angles: dict[int, tuple[float, float]] = {}
     for number, line in enumerate(content.decode("utf-8-sig", "replace").splitlines(), 1):
+        if wrong := NO_ANGLE.fullmatch(line):
+            raise PacketError(f"{name}:{number}: an angle is {wrong[1]}; allowed: degrees")
         row = ROW.fullmatch(line)
         if row is None:
             if angles and line.strip(" ,"):

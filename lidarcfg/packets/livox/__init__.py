@@ -62,9 +62,9 @@ class Livox(PatternTiming, Codec):
         """Out of the field of view points are zeros."""
         headers = self.unit.facts.headers
         kind = DATA_TYPES[settings(mount).data_type]
-        seen_m = (
-            np.where(in_view(mount, batch.firings), range_m[:, 0], np.inf) if mount.azimuth_fov_deg else range_m[:, 0]
-        )
+        seen_m = range_m[:, 0]
+        if mount.azimuth_fov_deg:
+            seen_m = np.where(in_view(mount, batch.firings.encoder_rad), seen_m, np.inf)
         packets = encode.encode(self.unit, kind, batch, seen_m, reflectivity[:, 0])
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 

@@ -45,7 +45,12 @@ class Key(IntEnum):
     STATE_HOST = 0x0005
     POINT_HOST = 0x0006
     IMU_HOST = 0x0007
+    ATTITUDE = 0x0012
+    FOV_0 = 0x0015
+    FOV_1 = 0x0016
     FOV_ON = 0x0017
+    DETECTION = 0x0018
+    IO_LINES = 0x0019
     WORK_MODE = 0x001A
     IMU_ON = 0x001C
     SERIAL = 0x8000
@@ -55,6 +60,13 @@ class Key(IntEnum):
     HARDWARE = 0x8004
     MAC = 0x8005
     STATE = 0x8006
+    TEMPERATURE = 0x8007
+    POWER_UPS = 0x8008
+    TIME = 0x8009
+    LAST_SYNC = 0x800A
+    TIME_OFFSET = 0x800B
+    SYNC = 0x800C
+    DIAGNOSIS = 0x800E
     FIRMWARE_TYPE = 0x8010
     FAULTS = 0x8011
 

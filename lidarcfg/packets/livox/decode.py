@@ -173,5 +173,5 @@ def identify(data: Bytes, known: Sequence[Unit]) -> Unit:
     """Which of the known sensors sends these packets (P, size): the one that fires at the rate nearest to theirs."""
     headers = headers_of(data)
     steps = np.maximum(headers["points"].astype(np.float64) - 1, 1)
-    step_ns = max(float(np.median(headers["interval"] * INTERVAL_NS / steps)), 1.0)
+    step_ns = max(float(np.median(headers["interval"].astype(np.float64) * INTERVAL_NS / steps)), 1.0)
     return min(known, key=lambda unit: abs(math.log(step_ns / unit.firing_ns)))

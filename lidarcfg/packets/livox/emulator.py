@@ -7,10 +7,12 @@ import socket
 import struct
 from collections.abc import Sequence
 
-from lidarcfg.packets.emulator import Answer, RequestError, Service, Site, Target
+import numpy as np
+
+from lidarcfg.packets.emulator import Answer, Emulator, RequestError, Service, Site, Target
 from lidarcfg.packets.livox import commands
 from lidarcfg.packets.livox.commands import Code, Command, Frame, Key, WorkMode
-from lidarcfg.packets.livox.layout import DataType
+from lidarcfg.packets.livox.layout import HEADER, PTP, DataType, crcs, headers_of
 from lidarcfg.packets.livox.model import Unit
 
 FIND_PORT = 56000
@@ -22,7 +24,7 @@ FIXED = {Key.DATA_TYPE: "kind of points", Key.PATTERN: "scan pattern", Key.FOV_O
 HOSTS = {Key.STATE_HOST: "its state", Key.POINT_HOST: "points", Key.IMU_HOST: "inertial measurements"}
 
 
-class LivoxEmulator:
+class LivoxEmulator(Emulator):
     """One sensor, of which a capture has packets of this kind, sent to this port."""
 
     def __init__(self, unit: Unit, kind: DataType, port: int, site: Site) -> None:
@@ -49,7 +51,12 @@ class LivoxEmulator:
             Key.STATE_HOST: commands.host_value(host, state_to, state_from),
             Key.POINT_HOST: commands.host_value(host, points_to, headers.data.source_port or port),
             Key.IMU_HOST: commands.host_value(host, imu_to, headers.imu.source_port or imu),
+            Key.ATTITUDE: bytes(24),
+            Key.FOV_0: bytes(20),
+            Key.FOV_1: bytes(20),
             Key.FOV_ON: b"\0",
+            Key.DETECTION: b"\0",
+            Key.IO_LINES: bytes(4),
             Key.WORK_MODE: bytes([WorkMode.SAMPLING]),
             Key.IMU_ON: b"\x01",
             Key.SERIAL: self._serial.ljust(commands.SERIAL_MAX, b"\0"),
@@ -59,6 +66,13 @@ class LivoxEmulator:
             Key.HARDWARE: bytes(4),
             Key.MAC: mac,
             Key.STATE: bytes([WorkMode.SAMPLING]),
+            Key.TEMPERATURE: bytes(4),
+            Key.POWER_UPS: bytes(4),
+            Key.TIME: bytes(8),
+            Key.LAST_SYNC: bytes(8),
+            Key.TIME_OFFSET: bytes(8),
+            Key.SYNC: bytes([PTP]),
+            Key.DIAGNOSIS: bytes(2),
             Key.FIRMWARE_TYPE: APPLICATION,
             Key.FAULTS: bytes(32),
         }
@@ -86,6 +100,17 @@ class LivoxEmulator:
         if (values[Key.POINTS_OFF] != b"\0") if points else (values[Key.IMU_ON] == b"\0"):
             return None
         return _target(values[Key.POINT_HOST if points else Key.IMU_HOST])
+
+    def payload(self, captured: bytes, later_ns: int) -> bytes:
+        """The same, stamped later."""
+        if not later_ns or len(captured) < HEADER.itemsize:
+            return captured
+        data = np.frombuffer(captured, np.uint8)[None].copy()
+        header = headers_of(data)
+        header["time_ns"] += np.uint64(later_ns)
+        if header["crc"][0]:
+            header["crc"] = crcs(data)
+        return data.tobytes()
 
     def answer(self, request: bytes, client: str) -> Answer:
         """The answer to a command. Raises RequestError for what is none."""

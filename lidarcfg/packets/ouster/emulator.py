@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 import numpy as np
 
@@ -100,9 +100,9 @@ class OusterEmulator(Emulator):
         head, _, body = request.partition(END)
         line = REQUEST.match(head + b"\r\n")
         assert line
-        url = urlsplit(line[2].decode("latin-1"))
-        query = {key: values[-1] for key, values in parse_qs(url.query).items()}
-        asked = Request(line[1].decode(), url.path.removeprefix(API).strip("/"), query, body, client)
+        path, _, parameters = line[2].decode("latin-1").partition("?")
+        query = {key: values[-1] for key, values in parse_qs(parameters).items()}
+        asked = Request(line[1].decode(), path.removeprefix(API).strip("/"), query, body, client)
         before = self._active
         try:
             value = self._value(asked)
@@ -217,7 +217,7 @@ def _allowed(key: str, value: object) -> bool:
             return False
         return True
     if key in PORT_KEYS:
-        return isinstance(value, int) and 0 <= value <= 65535
+        return type(value) is int and 0 <= value <= 65535
     return (key == "operating_mode" and value in MODES) or (key == "auto_start_flag" and value in (0, 1))
 
 

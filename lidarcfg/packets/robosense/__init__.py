@@ -16,8 +16,8 @@ from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, P
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, bytes_of, series_of
-from lidarcfg.packets.robosense.model import Facts, Unit, unit
-from lidarcfg.sensors.firing import Batch
+from lidarcfg.packets.robosense.model import Facts, Settings, Unit, unit
+from lidarcfg.sensors.firing import Batch, ranked
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor
@@ -34,6 +34,7 @@ class Robosense(SequenceTiming, Codec):
 
     point_fields = STAMPED
     facts_model = Facts
+    settings_model = Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
@@ -54,6 +55,10 @@ class Robosense(SequenceTiming, Codec):
         if mount.phase_deg is not None and mount.phase_deg % 1:
             raise ConfigError(f"phase_deg is {mount.phase_deg:g}; DIFOP packets say whole degrees")
 
+        imu = self.unit.facts.imu
+        if imu and mount.settings.checked(Settings).imu and imu.port in (mount.data_port, mount.telemetry_port):
+            what = f"port {imu.port} is the inertial measurements'"
+            raise ConfigError(f"{what}; give another data_port and telemetry_port, or robosense: {{imu: false}}")
         telemetry.difop_packets(self.unit, mount, np.zeros(1, np.int64))
 
     def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
@@ -64,11 +69,18 @@ class Robosense(SequenceTiming, Codec):
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, mount.dual, payloads.data)
 
+    def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
+        types = super().return_types(mount, range_m, reflectivity)
+        return ranked(types, self.unit.range.holds_both(range_m), reflectivity) if mount.dual else types
+
     def housekeeping(
         self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
-        """DIFOP packets."""
-        return telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
+        """DIFOP packets; inertial measurements of an Airy."""
+        yield from telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
+        imu = self.unit.facts.imu
+        if imu and mount.settings.checked(Settings).imu:
+            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
 
     def return_modes(self, source: Source, packets: Bytes) -> Times:
         """What DIFOP packets say."""

@@ -126,6 +126,16 @@ AIRY = Series(
     write_returns=core.write_airy_returns,
 )
 SERIES = {series.lidar_type: series for series in (HELIOS, AIRY)}
+IMU_ID = bytes.fromhex("aa555a05")
+IMU_TAIL = 0xF00F
+IMU = np.dtype(  # an Airy's inertial measurement: its guide, table 13; the order of bytes as in rs_driver
+    [
+        *[("id", "S4"), *TIME, ("acceleration", ">i4", (3,)), ("rate", ">i4", (3,)), ("temperature", ">i4")],
+        *[("frequency", "u1"), ("acceleration_range", "u1"), ("rate_range", "u1"), ("count", ">u4"), ("tail", ">u2")],
+    ]
+)
+IMU_HZ = (25, 50, 100, 200, 1000)  # by what the packet says
+IMU_FULL = 32768  # a value at the end of the range
 Packets = NDArray[np.void]
 
 

@@ -1,7 +1,7 @@
 """The key `robosense` of a sensor's file: the facts of its packets, when its lasers fire, where returns stand."""
 
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -12,7 +12,7 @@ from lidarcfg.packets import blocks
 from lidarcfg.packets.facts import Firing, Header, Nanoseconds, Network, SensorInstance, check_firing
 from lidarcfg.packets.robosense.layout import HELIOS, RETURN, SERIES, Series
 from lidarcfg.sensors.schedule import FiringSchedule
-from lidarcfg.sensors.sensor import Byte, Sensor
+from lidarcfg.sensors.sensor import Byte, Port, Sensor
 
 
 class Driver(Model):
@@ -48,6 +48,16 @@ class Installed(Model):
     offset_ns: tuple[Nanoseconds, ...]  # as that of `Firing`
 
 
+class Imu(Model):
+    """The facts of an Airy's inertial measurements."""
+
+    source: str = ""
+    port: Port  # that they are sent to
+    rate_hz: Literal[25, 50, 100, 200, 1000]
+    acceleration_g: Literal[2, 4, 8, 16]  # at the end of the range
+    rate_deg_s: Literal[250, 500, 1000, 2000]
+
+
 class Headers(Network):
     """The network headers of the sensor's datagrams."""
 
@@ -63,7 +73,14 @@ class Facts(Model):
     driver: Driver | None = None
     packet: Packet
     difop: Difop
+    imu: Imu | None = None
     headers: Headers
+
+
+class Settings(Model):
+    """The key `robosense` of a mount in a rig's file."""
+
+    imu: bool = True  # whether an Airy sends inertial measurements
 
 
 class Unit(SensorInstance[Facts]):

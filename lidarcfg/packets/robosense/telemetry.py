@@ -2,17 +2,24 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Payloads, Source
+from lidarcfg.packets.inertial import measured
 from lidarcfg.packets.robosense.layout import (
     AIRY,
     ANGLE,
     DIFOP_ID,
     DIFOP_TAIL,
+    IMU,
+    IMU_FULL,
+    IMU_HZ,
+    IMU_ID,
+    IMU_TAIL,
     PTP,
     SIZE,
     Packets,
@@ -20,13 +27,17 @@ from lidarcfg.packets.robosense.layout import (
     bytes_of,
     write_time,
 )
-from lidarcfg.packets.robosense.model import Unit
+from lidarcfg.packets.robosense.model import Imu, Unit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
+
+if TYPE_CHECKING:
+    from lidarcfg.world.motion import Trajectory
 
 SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns
 ANGLE_MAX = 9000  # hundredths of a degree
 UNUSED = 0xFF
+CHUNK = 4096  # inertial measurements at a time
 
 
 @dataclass(frozen=True)
@@ -92,6 +103,36 @@ def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
     offset_deg = beams.azimuth_offset_deg or (0.0,) * unit.count
     packets["horizontal"][:, : unit.count] = angles(unit, "azimuth_offset_deg", offset_deg)
     return packets
+
+
+def imu_payloads(
+    unit: Unit, imu: Imu, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
+) -> Iterator[Payloads]:
+    """A packet a measurement, counted from 1: accelerations, gravity included, and rates in the sensor's frame."""
+    period_ns = SECOND_NS // imu.rate_hz
+    total = -(-duration_ns // period_ns)
+    headers = unit.facts.headers
+    for first in range(0, total, CHUNK):
+        number = np.arange(first, min(first + CHUNK, total))
+        time_ns = start_ns + number * period_ns
+        packets: Packets = np.zeros(len(number), IMU)
+        packets["id"] = IMU_ID
+        packets["tail"] = IMU_TAIL
+        write_time(packets, time_ns)
+        acceleration_g, rate_deg_s = measured(mount, trajectory, np.zeros(3), time_ns)
+        packets["acceleration"] = _counts(acceleration_g, imu.acceleration_g)
+        packets["rate"] = _counts(rate_deg_s, imu.rate_deg_s)
+        packets["frequency"] = IMU_HZ.index(imu.rate_hz)
+        packets["acceleration_range"] = imu.acceleration_g.bit_length() - 2  # 0: 2 g, and so on twice as much
+        packets["rate_range"] = (imu.rate_deg_s // 125).bit_length() - 2
+        packets["count"] = number + 1
+        sent_ns = (time_ns + 500) // 1000 * 1000
+        data = packets.view(np.uint8).reshape(len(packets), IMU.itemsize)
+        yield Payloads(sent_ns, data, imu.port, headers, headers.difop, first)
+
+
+def _counts(values: Array, full: int) -> Array:
+    return np.clip(np.rint(values / full * IMU_FULL), -IMU_FULL, IMU_FULL - 1)
 
 
 def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:

@@ -17,7 +17,7 @@ from lidarcfg.packets.velodyne import decode, encode, telemetry
 from lidarcfg.packets.velodyne.layout import PACKET, bytes_of, packets_of
 from lidarcfg.packets.velodyne.model import Facts, Settings, Status, Unit, unit
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
-from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.firing import Batch, ranked
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor, catalogue
@@ -62,6 +62,11 @@ class Velodyne(SequenceTiming, Codec):
 
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, mount.return_mode, packets_of(payloads.data))
+
+    def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
+        """By strength before what an HDL-64E's calibration makes of it."""
+        types = super().return_types(mount, range_m, reflectivity)
+        return ranked(types, self.unit.range.holds_both(range_m), reflectivity) if mount.dual else types
 
     def housekeeping(
         self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int

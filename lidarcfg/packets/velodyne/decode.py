@@ -63,6 +63,16 @@ class VelodyneDecoder(Decoder):
 
     def check(self, packets: Bytes) -> None:
         check_ids(self._where, self._unit, packets_of(packets), self._trusted)
+        azimuth = azimuths(self._unit, packets_of(packets))
+        if (azimuth > REVOLUTION).any():
+            what = f"a block azimuth of {azimuth.max()}; allowed: 0 to {REVOLUTION - 1} hundredths of a degree"
+            raise PacketError(f"{self._where} sends {what}")
+
+    def sound(self, packets: Bytes) -> Flags:
+        right = (azimuths(self._unit, packets_of(packets)) <= REVOLUTION).all(axis=1)
+        if right.any():
+            check_ids(self._where, self._unit, packets_of(packets[right]), self._trusted)
+        return np.asarray(right)
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
         self._counter.add(packets_of(packets), wanted)
@@ -331,6 +341,14 @@ def check_ids(where: str, unit: Unit, packets: Packets, trusted: bool) -> None:
             f"{unit.name}'s 0x{facts.product_id:02X}; --model decodes it anyway"
         )
     check_one_id(where, packets)
+
+
+def azimuths(unit: Unit, packets: Packets) -> NDArray[np.uint16]:
+    """(P, 12) of the blocks of packets (P,); 0 for those that the sensor does not use."""
+    count = np.array([len(slots(unit.packet, dual)) for dual in (False, True)])
+    azimuth = packets["blocks"]["azimuth"]
+    used = np.arange(azimuth.shape[1]) < count[is_dual(unit.packet, packets).astype(np.int64)][:, None]
+    return np.asarray(np.where(used, azimuth, 0))
 
 
 def check_period(where: str, unit: Unit, packets: Packets) -> None:

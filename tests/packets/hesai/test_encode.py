@@ -365,6 +365,8 @@ def test_rewritten_angles_are_read(tmp_path):
         ),
         ({"drive-angles.csv": "\n"}, "drive-angles.csv: its channels are not 1, 2 and on"),
         ({"drive-angles.csv": "2,1,0\n3,2,0\n"}, "drive-angles.csv: its channels are not 1, 2 and on"),
+        ({"drive-angles.csv": "1,NaN,0\n"}, "drive-angles.csv:1: an angle is NaN; allowed: degrees"),
+        ({"drive-angles.csv": "1,2,0\n2,1,-inf\n"}, "drive-angles.csv:2: an angle is -inf; allowed: degrees"),
         ({"drive-angles.csv": "1,91,0\n"}, "drive-angles.csv: elevation_deg"),
         ({"drive-angles.csv": "1,1e999,0\n"}, "drive-angles.csv: elevation_deg"),
     ],

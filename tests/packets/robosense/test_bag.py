@@ -1,6 +1,7 @@
 """A capture as a ROS 2 bag: the fields of rslidar_sdk's XYZIRT, read by rosbags, and what decode gives."""
 
 import numpy as np
+import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -19,8 +20,9 @@ FIELDS = [
 ROW = np.dtype([("xyz", "<f4", (3,)), ("intensity", "<f4"), ("ring", "<u2"), ("timestamp", "<f8")])
 
 
-def test_points_are_laid_out_as_the_drivers(tmp_path):
-    rig, path = Rig("rig", (mount("helios-32"),)), tmp_path / "a.pcap"
+@pytest.mark.parametrize("model", ["helios-32", "airy"])
+def test_points_are_laid_out_as_the_drivers(model, tmp_path):
+    rig, path = Rig("rig", (mount(model, rpy_rad=(0.8, 0.0, 0.0)),)), tmp_path / "a.pcap"
     there = scene(tmp_path, "ground: {reflectivity: 12}")
     write_pcap(path, in_time_order(simulated_frames(rig, there, np.eye(4), 220_000_000)))
     assert save_bag(tmp_path / "bag", path, "sqlite3", rig, None, no_warning) == 4  # three revolutions, and the pose

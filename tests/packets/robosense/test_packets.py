@@ -101,6 +101,21 @@ def test_the_twin_reads_single_returns(tmp_path, model, lasers):
     assert abs(cloud.time_ns - expected[:, 2]).max() < 600
 
 
+def test_a_16p_as_rs_driver_reads_it(tmp_path):
+    """Its second halves are 55.6 us and 0.1 degrees before the manual's; other models are the same either way."""
+    path, _, _ = exported(tmp_path, [mount("helios-16p")], 0.1)
+    elevation = load_sensor("helios-16p").beams.elevation_deg
+    expected = np.array(list(naive.as_rs_driver_reads_a_16p(msop(path), elevation, [0.0] * 16)))
+    cloud, _ = decoded_with_stats(path, driver_view=True)
+    assert abs(cloud.xyz - expected[:, 3:]).max() < 1e-6
+    assert abs(cloud.time_ns - expected[:, 2]).max() < 700
+    usual, _ = decoded_with_stats(path)
+    late_us = (usual.time_ns - cloud.time_ns) / 1000
+    assert (late_us.min(), late_us.max()) == pytest.approx((27.6, 55.6), abs=0.2)
+    path, _, _ = exported(tmp_path, [mount("helios-32")], 0.02)
+    assert (decoded_with_stats(path, driver_view=True)[0].xyz == decoded_with_stats(path)[0].xyz).all()
+
+
 @pytest.mark.parametrize(("model", "lasers"), MODELS.items())
 def test_dual_returns_stand_where_the_manual_says(tmp_path, model, lasers):
     """In halves of a block (16 lasers), or in odd and even blocks (32): of one azimuth, which is the next firing's."""

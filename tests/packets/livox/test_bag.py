@@ -1,0 +1,41 @@
+"""A capture as a ROS 2 bag: the fields of livox_ros_driver2's PointXYZRTLT, read by rosbags, and what decode gives."""
+
+import numpy as np
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.io.bag import save_bag
+from lidarcfg.sensors.rig import Rig
+from tests.capture_fixtures import decoded, no_warning, scene
+from tests.packets.livox.fixtures import mount
+
+FLOAT32, FLOAT64, UINT8 = 7, 8, 2
+FIELDS = [  # lddc.cpp of livox_ros_driver2
+    *[("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("intensity", 12, FLOAT32)],
+    *[("tag", 16, UINT8), ("line", 17, UINT8), ("timestamp", 18, FLOAT64)],
+]
+ROW = np.dtype([("xyz", "<f4", (3,)), ("intensity", "<f4"), ("tag", "u1"), ("line", "u1"), ("timestamp", "<f8")])
+
+
+def test_points_are_laid_out_as_the_drivers(tmp_path):
+    rig = Rig("rig", (mount("hap"),))
+    path = tmp_path / "a.pcap"
+    there = scene(tmp_path, "ground: {reflectivity: 12}")
+    write_pcap(path, in_time_order(simulated_frames(rig, there, np.eye(4), 120_000_000)))
+    assert save_bag(tmp_path / "bag", path, "sqlite3", rig, None, no_warning) == 3  # two frames, and the pose
+    store = get_typestore(Stores.LATEST)
+    with Reader(tmp_path / "bag") as reader:
+        messages = [store.deserialize_cdr(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic != "/tf_static"]
+    assert [(one.name, one.offset, one.datatype) for one in messages[0].fields] == FIELDS
+    rows = np.concatenate([one.data.view(ROW) for one in messages])
+    cloud = decoded(path)  # in the sensor's own frame, as the bag is
+    assert (rows["xyz"] == cloud.xyz.astype(np.float32)).all()
+    assert (rows["intensity"] == cloud.intensity).all()
+    assert (rows["line"] == cloud.ring).all()
+    assert (rows["tag"] == 0x10).all()
+    assert (rows["timestamp"] == cloud.time_ns.astype(np.float64)).all()
+    first, second = (one.data.view(ROW)["timestamp"] for one in messages)
+    assert first.max() < second.min()
+    assert 95e6 < second.min() - first.min() < 105e6  # a frame is 0.1 s; not each packet meets the ground
