@@ -1,4 +1,4 @@
-"""URDF, written: a link for the vehicle, one with a fixed joint per sensor, its visual named after the model; and read."""
+"""URDF, read and written: a link for the vehicle, one with a fixed joint per sensor, its visual named after the model."""
 
 import math
 import re
