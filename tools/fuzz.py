@@ -256,7 +256,7 @@ def question(case: Case, makers: bool) -> Question | None:
         model = fuzz_makers.MADE[case.below(len(fuzz_makers.MADE))][0] if case.seldom(4) or not odd.model else odd.model
         mounted = fuzz_makers.rig(model) if case.seldom(4) else None
         named = model if case.seldom(3) else None
-        limits = fuzz_makers.RETURNS_MAX, fuzz_makers.REACH_M, fuzz_makers.SPAN_S
+        limits = fuzz_makers.RETURNS_MAX, fuzz_makers.reach_m(odd.model), fuzz_makers.SPAN_S
         return Question(odd.content, odd.count, odd.beside, mounted, named, *limits)
     content, count = capture(case, number)
     model = MODELS[(case.below(len(MODELS)) if case.seldom(4) else number) % len(MODELS)]
@@ -369,7 +369,7 @@ def main() -> None:
     parser.add_argument("--packets", type=int, default=10_000_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--random", action="store_true", help="without atheris")
-    parser.add_argument("--makers", action="store_true", help="Ouster, Hesai and RoboSense only")
+    parser.add_argument("--makers", action="store_true", help="all but Velodyne only")
     parser.add_argument("--case", type=bytes.fromhex)
     parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
     args = parser.parse_args()

@@ -29,18 +29,21 @@ OUSTER = {  # profile and return mode
     "FUSA_RNG15_RFL8_NIR8_DUAL": "dual",
     "LEGACY": "strongest",
 }
+LIVOX = ("cartesian_mm", "cartesian_cm", "spherical")
 MADE = [
     *((model, mode, "") for model in (*HESAI, *ROBOSENSE) for mode in ("strongest", "last", "first", "dual")),
     *((model, mode, "") for model in HESAI for mode in ("first-last", "first-strongest")),
     ("qt128", "two-strongest", ""),
     *((model, mode, "high") for model in ("ot128", "pandar128") for mode in ("strongest", "dual")),
     *(("os0-32", mode, profile) for profile, mode in OUSTER.items()),
+    *((model, "strongest", kind) for model in ("mid-360", "hap") for kind in LIVOX),
 ]
 RECORDED = 12  # as many recordings at most
 SEEDS = len(MADE) + RECORDED
 PACKETS = 200
 RETURNS_MAX, SPAN_S = 4096, 0.05  # of a packet: an OS0-128 with dual returns; of most captures
 REACH_M = 65535 * 0.255 + 10.0  # a Hesai's header says the unit, up to 255 mm
+LIVOX_REACH_M = 2**32 / 1000  # a packet's depth has 32 bits of millimetres
 FRAGMENT_OFFSET = RECORD.itemsize + ETHERNET_HEADER.itemsize + 6
 ODD = (b"\x00", b"\xff", b"\x01", b"\x80")
 
@@ -71,6 +74,8 @@ def mount(model: str, mode: str, profile: str) -> Mount:
     data_port, telemetry_port = ports(sensor)
     settings = {"profile": profile, "columns": 512, "firmware": "3.2"} if profile in OUSTER else {}
     settings |= {"resolution": profile} if profile == "high" else {}
+    if profile in LIVOX:
+        settings = {"data_type": profile}
     return Mount(
         name="m",
         sensor=sensor,
@@ -84,6 +89,11 @@ def mount(model: str, mode: str, profile: str) -> Mount:
         return_mode=mode,
         settings=Section(settings),
     )
+
+
+def reach_m(model: str | None) -> float:
+    """How far away the points of a sensor's packets may be; of a recording's."""
+    return LIVOX_REACH_M if model in ("mid-360", "hap") else REACH_M
 
 
 def rig(model: str) -> Rig:

@@ -105,7 +105,8 @@ def replay(
                 to = emulator.destination(datagram.port) if emulator else (address, port or datagram.port)
                 payload = emulator.payload(datagram.payload, datagram.later_ns) if emulator else datagram.payload
                 try:
-                    keeps = emulator and datagram.source_port != datagram.port  # which a driver on this machine opens
+                    opened = datagram.source_port == datagram.port  # by a driver on this machine
+                    keeps = emulator and (emulator.own_ports or not opened)
                     sender = senders.of(datagram.host, datagram.source_port if keeps else 0)
                     sent = to is not None and sender.sendto(payload, to) >= 0
                 except OSError as error:

@@ -1,4 +1,4 @@
-"""URDF, read and written: a link for the vehicle, one with a fixed joint per sensor, its visual named after the model."""
+"""URDF, read and written: a link for the vehicle, and one with a fixed joint and a visual per sensor."""
 
 import math
 import re

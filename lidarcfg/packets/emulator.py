@@ -73,6 +73,7 @@ class Emulator(Protocol):
 
     name: str  # of its model
     services: Sequence[Service]
+    own_ports: bool = False  # whether drivers know its datagrams by the port they come from, though they may open it
 
     def destination(self, port: int) -> Target | None:
         """Where datagrams captured for a port go now; None: the sensor does not send."""

@@ -51,7 +51,8 @@ def print_sensor(sensor: Sensor) -> None:
         del facts["beams"]
     parts = {part: values for part, values in facts.items() if isinstance(values, dict) and part != sensor.codec}
     for part, values in (parts | dict(facts.get(sensor.codec or "", {}))).items():
-        _print_part(console, part, values)
+        for one in values if isinstance(values, list) else [values]:
+            _print_part(console, part, one)
 
 
 def _channel_table(pattern: ScanPattern) -> Table:

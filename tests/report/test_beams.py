@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.report.sensors import draw_sensor
+from lidarcfg.report.sensors import draw_sensor, print_sensor
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from tests.command_line import lidarcfg
 
@@ -46,3 +46,19 @@ def test_the_command_writes_a_picture(tmp_path):
     picture = matplotlib.image.imread(tmp_path / "a.png")
     assert picture.shape[:2] == (780, 1560)
     assert 0.001 < (picture[..., :3].mean(axis=2) < 0.9).mean() < 0.2  # marks and letters on white
+
+
+def sources(part):
+    """Every source that a part of a sensor's file names, of lists of parts too."""
+    if isinstance(part, dict) and isinstance(part.get("source"), str):
+        yield part["source"]
+    for one in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
+        yield from sources(one)
+
+
+@pytest.mark.parametrize("name", catalogue())
+def test_each_source_of_the_catalogue_is_printed(name, capsys):
+    print_sensor(load_sensor(name))
+    shown = "".join(capsys.readouterr().out.split())
+    for source in sources(yaml.safe_load(catalogue()[name].read_text())):
+        assert "".join(source.split()) in shown

@@ -146,7 +146,7 @@ def values_of(data: bytes) -> list[tuple[int, bytes]]:
     if len(data) < 4:
         raise ValueError("no list of keys and values")
     (count,) = struct.unpack_from("<H", data)
-    found = []
+    found: list[tuple[int, bytes]] = []
     at = 4
     for _ in range(count):
         if len(data) < at + 4:

@@ -27,6 +27,8 @@ HOSTS = {Key.STATE_HOST: "its state", Key.POINT_HOST: "points", Key.IMU_HOST: "i
 class LivoxEmulator(Emulator):
     """One sensor, of which a capture has packets of this kind, sent to this port."""
 
+    own_ports = True
+
     def __init__(self, unit: Unit, kind: DataType, port: int, site: Site) -> None:
         device = unit.facts.device
         headers = unit.facts.headers

@@ -41,7 +41,7 @@ def encode(unit: Unit, kind: DataType, batch: Batch, range_m: Array, reflectivit
 
 
 def write_points(
-    packets: Packets, kind: DataType, fired: Firings, range_m: Array, reflectivity: Bytes, tag: int | Bytes
+    packets: Packets, kind: DataType, fired: Firings, range_m: Array, reflectivity: Bytes, tag: int
 ) -> None:
     """Write the points of firings with ranges (N,), which are 0 where there is no return.
 
@@ -50,26 +50,22 @@ def write_points(
     points = packets["points"]
     shape = points.shape
     length = range_m * UNITS_PER_M[kind]
+    most = 2**32 - 1 if kind == DataType.SPHERICAL else np.iinfo(points.dtype["x"]).max
+    there = (length >= 1) & (length <= most)
+    if not there.all():
+        length = np.where(there, length, 0.0)
     if kind == DataType.SPHERICAL:
-        there = (length >= 0.5) & (length < 2**32 - 0.5)
-        columns = {
-            "depth": np.rint(length),
-            "zenith": np.rint(HUNDREDTHS / 4 - fired.elevation_rad * DEGREES),
-            "azimuth": np.rint(-fired.encoder_rad * DEGREES) % HUNDREDTHS,
-        }
+        zenith = np.rint(HUNDREDTHS / 4 - fired.elevation_rad * DEGREES)
+        points["depth"] = np.rint(length).reshape(shape)
+        points["zenith"] = (zenith * there).reshape(shape)
+        points["azimuth"] = (np.rint(-fired.encoder_rad * DEGREES) % HUNDREDTHS * there).reshape(shape)
     else:
-        there = (length > 0) & (length <= np.iinfo(points.dtype["x"]).max)
         flat = length * maths.cos(fired.elevation_rad)
-        columns = {
-            "x": np.rint(flat * maths.cos(fired.encoder_rad)),
-            "y": np.rint(-flat * maths.sin(fired.encoder_rad)),
-            "z": np.rint(length * maths.sin(fired.elevation_rad)),
-        }
-        there &= (columns["x"] != 0) | (columns["y"] != 0) | (columns["z"] != 0)
-    for key, values in columns.items():
-        points[key] = np.where(there, values, 0).reshape(shape)
+        points["x"] = np.rint(flat * maths.cos(fired.encoder_rad)).reshape(shape)
+        points["y"] = np.rint(-flat * maths.sin(fired.encoder_rad)).reshape(shape)
+        points["z"] = np.rint(length * maths.sin(fired.elevation_rad)).reshape(shape)
     points["reflectivity"] = (reflectivity * there).reshape(shape)
-    points["tag"] = (tag * there).reshape(shape)
+    points["tag"] = (np.uint8(tag) * there).reshape(shape) if np.any(tag) else 0
 
 
 def sent(packets: Packets, kind: DataType) -> Flags:
