@@ -40,19 +40,25 @@ class Key(IntEnum):
 
     DATA_TYPE = 0x0000
     PATTERN = 0x0001
+    PAIRS = 0x0002
     POINTS_OFF = 0x0003
     LIDAR_IP = 0x0004
     STATE_HOST = 0x0005
     POINT_HOST = 0x0006
     IMU_HOST = 0x0007
+    LOG_HOST = 0x0009
     ATTITUDE = 0x0012
+    BLIND_SPOT = 0x0013
     FOV_0 = 0x0015
     FOV_1 = 0x0016
     FOV_ON = 0x0017
     DETECTION = 0x0018
     IO_LINES = 0x0019
     WORK_MODE = 0x001A
+    GLASS_HEAT = 0x001B
     IMU_ON = 0x001C
+    SAFETY = 0x001D
+    FORCED_HEAT = 0x001E
     SERIAL = 0x8000
     PRODUCT = 0x8001
     FIRMWARE = 0x8002
@@ -66,9 +72,12 @@ class Key(IntEnum):
     LAST_SYNC = 0x800A
     TIME_OFFSET = 0x800B
     SYNC = 0x800C
+    STATUS = 0x800D
     DIAGNOSIS = 0x800E
+    FLASH = 0x800F
     FIRMWARE_TYPE = 0x8010
     FAULTS = 0x8011
+    HEATING = 0x8012
 
 
 READ_ONLY = 0x8000  # the first key of those

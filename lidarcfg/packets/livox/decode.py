@@ -58,7 +58,8 @@ class LivoxDecoder(Decoder):
         return sound(packets, self._kind)
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        step = np.diff(headers_of(packets)["count"].astype(np.int64)) % 2**16
+        number: Times = headers_of(packets)["count"].astype(np.int64)
+        step = np.diff(number) % 2**16
         self._lost += int((step[wanted[1:] & (step > 1) & (step < RESTART)] - 1).sum())
 
     def statistics(self) -> DecodeStatistics:

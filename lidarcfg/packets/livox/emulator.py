@@ -20,7 +20,12 @@ PORT_NAMES = {FIND_PORT: "Livox's discovery", 56100: "Livox's commands"}
 COMMAND_PORTS = {9: 56100, 10: 56000}  # by type of device: Livox-SDK2 (08f523c), sdk_core/comm/define.h
 STATE_PORTS = {9: (56200, 56201), 10: (56000, 56000)}  # the sensor's, the host's
 APPLICATION = b"\x01"  # the type of firmware that is not the loader
-FIXED = {Key.DATA_TYPE: "kind of points", Key.PATTERN: "scan pattern", Key.FOV_ON: "field of view"}
+FIXED = {
+    Key.DATA_TYPE: "kind of points",
+    Key.PATTERN: "scan pattern",
+    Key.PAIRS: "number of returns",
+    Key.FOV_ON: "field of view",
+}
 HOSTS = {Key.STATE_HOST: "its state", Key.POINT_HOST: "points", Key.IMU_HOST: "inertial measurements"}
 
 
@@ -48,19 +53,25 @@ class LivoxEmulator(Emulator):
         self._values: dict[int, bytes] = {
             Key.DATA_TYPE: bytes([kind]),
             Key.PATTERN: b"\0",
+            Key.PAIRS: b"\0",
             Key.POINTS_OFF: b"\0",
             Key.LIDAR_IP: address + bytes([255, 255, 255, 0]) + address[:3] + b"\x01",
             Key.STATE_HOST: commands.host_value(host, state_to, state_from),
             Key.POINT_HOST: commands.host_value(host, points_to, headers.data.source_port or port),
             Key.IMU_HOST: commands.host_value(host, imu_to, headers.imu.source_port or imu),
+            Key.LOG_HOST: bytes(8),
             Key.ATTITUDE: bytes(24),
+            Key.BLIND_SPOT: bytes(4),
             Key.FOV_0: bytes(20),
             Key.FOV_1: bytes(20),
             Key.FOV_ON: b"\0",
             Key.DETECTION: b"\0",
             Key.IO_LINES: bytes(4),
             Key.WORK_MODE: bytes([WorkMode.SAMPLING]),
+            Key.GLASS_HEAT: b"\0",
             Key.IMU_ON: b"\x01",
+            Key.SAFETY: b"\0",
+            Key.FORCED_HEAT: b"\0",
             Key.SERIAL: self._serial.ljust(commands.SERIAL_MAX, b"\0"),
             Key.PRODUCT: f"{unit.name} of a capture".encode().ljust(64, b"\0"),
             Key.FIRMWARE: bytes(device.firmware),
@@ -74,9 +85,12 @@ class LivoxEmulator(Emulator):
             Key.LAST_SYNC: bytes(8),
             Key.TIME_OFFSET: bytes(8),
             Key.SYNC: bytes([PTP]),
+            Key.STATUS: bytes(8),
             Key.DIAGNOSIS: bytes(2),
+            Key.FLASH: b"\0",
             Key.FIRMWARE_TYPE: APPLICATION,
             Key.FAULTS: bytes(32),
+            Key.HEATING: b"\0",
         }
         command_port = COMMAND_PORTS.get(device.type, COMMAND_PORTS[9])
         self._command_port = command_port
