@@ -20,7 +20,8 @@ from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory
 
 START_NS = 1_700_000_000 * 10**9
-HESAI, ROBOSENSE = ("pandar-xt32", "pandar-xt16", "xt32m2x", "qt128"), ("helios-16p", "helios-32", "airy")
+HESAI = "pandar-xt32", "pandar-xt16", "xt32m2x", "qt128", "ot128", "jt128", "pandar128"
+ROBOSENSE = "helios-16p", "helios-32", "airy"
 OUSTER = {  # profile and return mode
     "RNG19_RFL8_SIG16_NIR16": "strongest",
     "RNG19_RFL8_SIG16_NIR16_DUAL": "dual",
@@ -33,6 +34,7 @@ MADE = [
     *((model, mode, "") for model in (*HESAI, *ROBOSENSE) for mode in ("strongest", "last", "first", "dual")),
     *((model, mode, "") for model in HESAI for mode in ("first-last", "first-strongest")),
     ("qt128", "two-strongest", ""),
+    *((model, mode, "high") for model in ("ot128", "pandar128") for mode in ("strongest", "dual")),
     *(("os0-32", mode, profile) for profile, mode in OUSTER.items()),
     *((model, "strongest", kind) for model in ("mid-360", "hap") for kind in LIVOX),
 ]
@@ -71,6 +73,7 @@ def mount(model: str, mode: str, profile: str) -> Mount:
     sensor = load_sensor(model)
     data_port, telemetry_port = ports(sensor)
     settings = {"profile": profile, "columns": 512, "firmware": "3.2"} if profile in OUSTER else {}
+    settings |= {"resolution": profile} if profile == "high" else {}
     if profile in LIVOX:
         settings = {"data_type": profile}
     return Mount(

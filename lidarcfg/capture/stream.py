@@ -9,9 +9,11 @@ import numpy as np
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Decoder, Returns
+from lidarcfg.units import SECOND_NS
 
 ENOUGH = 16  # packets, to tell a model by
 HELD = 8  # packets at the end of a chunk that are held back, as others may have been overtaken by them
+LATE_NS = 10 * SECOND_NS  # a packet older by more than that than one before it says that the clock was set back
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class Stream:
         self._packets: list[Bytes] = []
         self._times_ns: list[Times] = []
         self.fresh = False  # whether packets came since they were last taken
+        self._newest: tuple[Bytes, int] | None = None  # the packet (1, size) taken so far, if not the last; its time
         self._taken = 0  # how many of the kept packets were wanted before: 1, the one before the next, or 0
         self._count: Counter[str] = Counter()
 
@@ -96,12 +99,33 @@ class Stream:
         wanted = (times_ns >= self._window_ns[0]) & (times_ns < self._window_ns[1])
         wanted[: self._taken] = wanted[stop:] = False
         self._count["packets"] += int(wanted.sum())
-        decoder.count(packets, wanted)
+        self._count_lost(decoder, packets, device_ns, wanted, stop)
         keep = max(stop - 1, 0)
         self._packets = [packets[keep:].copy()]
         self._times_ns = [times_ns[keep:].copy()]
         self._taken = min(stop, 1)
         return Packets(self._sender, sensor_names, decoder, packets, times_ns, device_ns, wanted)
+
+    def _count_lost(self, decoder: Decoder, packets: Bytes, device_ns: Times, wanted: Flags, stop: int) -> None:
+        """Count the wanted of the first `stop` packets, and the lost ones. One that comes too late had counted as lost.
+
+        Decoders compare a packet with the newest before it, so that nothing counts as lost twice.
+        """
+        if self._newest:
+            packets = np.concatenate([self._newest[0], packets[1:]])
+            device_ns = np.append(self._newest[1], device_ns[1:])
+        if len(packets) and (np.diff(device_ns[:stop]) >= 0).all():
+            self._newest = None if not self._newest or stop > 1 else self._newest
+            decoder.count(packets, wanted)
+            return
+        newest = 0
+        late = np.zeros(len(packets), np.bool_)
+        for i, time_ns in enumerate(device_ns[:stop].tolist()):
+            late[i] = 0 < device_ns[newest] - time_ns <= LATE_NS
+            newest = newest if late[i] else i
+        self._newest = (packets[newest : newest + 1].copy(), int(device_ns[newest])) if newest < stop - 1 else None
+        self._count["late"] += int((late & wanted).sum())
+        decoder.count(packets[~late], wanted[~late])
 
     def _sound(self, decoder: Decoder, packets: Bytes) -> Flags | slice:
         """Which packets are undamaged; counts the others. Raises PacketError unless most are undamaged."""
@@ -161,7 +185,7 @@ class Stream:
             models=statistics.models,
             return_modes=statistics.return_modes,
             packets=self.packets,
-            lost=statistics.lost,
+            lost=max(statistics.lost - self._count["late"], 0),
             duplicates=self._count["duplicates"],
             reordered=self._count["reordered"],
             rpm=statistics.rpm,

@@ -19,20 +19,20 @@ from lidarcfg.placement.plain_rigs import plain_points
 from lidarcfg.placement.requirements_evaluator import RequirementsEvaluator, meets, readable
 from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator
 from lidarcfg.placement.solvers import start_search
-from lidarcfg.placement.solvers.search import FixedPoint, Search, Trials, checked
+from lidarcfg.placement.solvers.search import Best, FixedPoint, Search, Trials
 from lidarcfg.placement.study import Study
 from lidarcfg.requirements.objects import ObjectRequirement
 from lidarcfg.requirements.places import FINEST_M, FINEST_RAD
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 
-FIRST_POINTS = 4  # that are judged in full
+FIRST_POINTS = 2  # that are judged in full
 POINTS_GROWTH = 3  # of the number of points, until the best so far is what the next have to beat
 LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
 
-class PointsFirst:
+class PointsFirst(Best):
     """Given points first, then the study's solver, which starts from the best of them.
 
     The points come in batches. In all but the first a point counts only if it is better than those before.
@@ -48,7 +48,6 @@ class PointsFirst:
         self._known = np.empty(0)  # costs of points
         self.cycles = 0
         self.best_x = points[0]
-        self.best_cost = math.inf
 
     @property
     def sources(self) -> Array:
@@ -73,11 +72,7 @@ class PointsFirst:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x = self.ask().x
-        best = int(np.argmin(checked(cost)))
-        if cost[best] < self.best_cost:
-            self.best_x = x[best].copy()
-            self.best_cost = float(cost[best])
+        self.keep_best(self.ask().x, cost)
         if self._search:
             self._search.tell(cost)
             self.cycles = self._search.cycles

@@ -69,11 +69,11 @@ class Footprint:
         """(P, 2) the shortest ways from it to an object's footprint at places (P, 4); 0 where they meet."""
         if not len(places):
             return np.empty((0, 2))
-        cos, sin = maths.cos(places[:, 3]), maths.sin(places[:, 3])
-        R = np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
+        cos, sin = maths.cos(places[:, 3:]), maths.sin(places[:, 3:])  # (P, 1)
         shortest = np.full((len(places), 2), np.inf)
         for outline in footprint.outlines_m:
-            corners = np.einsum("pij,vj->pvi", R, outline) + places[:, None, :2]
+            x, y = outline.T
+            corners = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + places[:, None, :2]
             made = shapely.polygons(corners) if len(outline) > 3 else shapely.linestrings(corners)
             ends = shapely.get_coordinates(shapely.shortest_line(self.shape, made)).reshape(-1, 2, 2)
             way = ends[:, 1] - ends[:, 0]

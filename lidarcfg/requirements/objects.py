@@ -395,11 +395,13 @@ class ObjectJudge:
     def _tried(self, mounts: Sequence[Mount], base: Measured) -> Tried:
         """The base grid's counts, and those at places between, around the lowest, down to the finest spacing.
 
-        These are exact up to the greatest of the lowest, which others only lower.
+        Each round counts up to the greatest of the lowest so far, as what has more is looked at no further.
         """
         stand = self.item.stand
-        cap = max(int(base.values[_lowest(base.values)].max()) + 1, self.item.returns)
-        every = base.joined(self.measured_at(stand.edge, mounts, cap)) if len(stand.edge) else base
+        greatest = int(base.values[_lowest(base.values)].max())
+        every = base
+        if len(stand.edge):
+            every = base.joined(self.measured_at(stand.edge, mounts, max(greatest + 1, self.item.returns)))
         seen: set[tuple[int, ...]] = set()
         step_m = stand.far_step_m
         turns = np.diff(stand.headings_rad)
@@ -407,12 +409,10 @@ class ObjectJudge:
         while step_m > FINEST_M or step_rad > FINEST_RAD:
             step_m = step_m / 2 if step_m > 2 * FINEST_M else min(step_m, FINEST_M)
             step_rad = step_rad / 2 if step_rad > 2 * FINEST_RAD else min(step_rad, FINEST_RAD)
-            every = self._with_neighbours(every, _lowest(every.values), step_m, step_rad, seen, mounts, cap)
+            every = self._with_neighbours(every, _lowest(every.values), step_m, step_rad, seen, mounts)
         for _ in range(ROUNDS_MAX):  # until all neighbours of the lowest are known
-            least = every.values.min()
-            more = self._with_neighbours(
-                every, np.flatnonzero(every.values == least)[:LOWEST], step_m, step_rad, seen, mounts, cap
-            )
+            lowest = np.flatnonzero(every.values == every.values.min())[:LOWEST]
+            more = self._with_neighbours(every, lowest, step_m, step_rad, seen, mounts)
             settled = len(more.places) == len(every.places)
             every = more
             if settled:
@@ -427,9 +427,13 @@ class ObjectJudge:
         step_rad: float,
         seen: set[tuple[int, ...]],
         mounts: Sequence[Mount],
-        cap: int,
     ) -> Measured:
-        """With the neighbours, at these spacings, of some of the places, as far as they are new and in the zone."""
+        """With the neighbours, at these spacings, of some of the places, as far as they are new and in the zone.
+
+        They are counted up to the greatest of these, and to what is demanded, as it matters which sensors' loss breaks
+        that.
+        """
+        cap = max(int(tried.values[centres].max()) + 1, self.item.returns)
         fresh = self.item.stand.around(tried.places[centres], step_m, step_rad, seen)
         return tried.joined(self.measured_at(fresh, mounts, cap)) if len(fresh) else tried
 

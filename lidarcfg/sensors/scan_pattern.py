@@ -8,7 +8,6 @@ An .npz may be packed instead: channels fire in turn at `rate_hz`; rows of `azim
 channel, hold by how many hundredths of a degree each firing differs from the channel's last one, the first from 0.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,13 +85,13 @@ class ScanPattern:
     @property
     def azimuth_fov_deg(self) -> tuple[float, float] | None:
         """From and to, clockwise, rounded outward: all but the widest gap, if that is wider than GAP_DEG."""
-        azimuth_deg = np.unique(np.degrees(self.azimuth_rad) % 360)
-        gaps_deg = np.diff(azimuth_deg, append=azimuth_deg[0] + 360)
-        widest = int(gaps_deg.argmax())
-        if gaps_deg[widest] <= GAP_DEG:
+        hundredths = np.floor(np.degrees(self.azimuth_rad) * 100).astype(np.int64) % HUNDREDTHS
+        there = np.flatnonzero(np.bincount(hundredths))
+        gaps = np.diff(there, append=there[0] + HUNDREDTHS)
+        widest = int(gaps.argmax())
+        if gaps[widest] <= 100 * GAP_DEG:
             return None
-        first_deg = azimuth_deg[(widest + 1) % len(azimuth_deg)]
-        return math.floor(first_deg * 100) / 100, math.floor(azimuth_deg[widest] * 100 + 1) / 100
+        return float(there[(widest + 1) % len(there)] / 100), float((there[widest] + 1) / 100)
 
     def count_before(self, elapsed_ns: int) -> int:
         """The number of firings before a time after the start of a pattern that repeats."""

@@ -244,17 +244,8 @@ def rotate(R: Array, vectors: Array) -> Array:
     return out
 
 
-def load_motion(path: str | Path) -> Motion:
-    """The motion in a YAML file, or the timed poses in a .tum file. Raises ConfigError."""
-    path = example(path)
-    if path.suffix != TUM:
-        return load(path, Motion)
-    rows = [tuple(row) for row in _read_tum(path).tolist()]
-    return Motion(poses=tuple(TimedPose(time_s=r[0], position_m=r[1:4], quaternion_xyzw=r[4:]) for r in rows))
-
-
 def load_path(path: str | Path | None) -> MotionPath:
-    """The path of the motion in a file; None: a path that stands. Raises ConfigError."""
+    """The path of a motion in a YAML file, or of poses in a .tum file; None: one that stands. Raises ConfigError."""
     if path is None:
         return build_path(STATIC)
     path = example(path)

@@ -16,6 +16,7 @@ from lidarcfg.errors import PacketError
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import AT_NS, STREET, datagrams_of, no_warning, write_datagrams
+from tests.command_line import lidarcfg
 
 RIG = """
 name: two
@@ -100,3 +101,21 @@ def test_more_sensors_than_can_be_decoded_together(mixed, tmp_path, monkeypatch)
         decode(tmp_path / "b.pcap", on_warning=no_warning)
     some = list(decode_pcap(tmp_path / "b.pcap", no_warning, selection=Selection(sensors=("10.0.0.29:2368",))))
     assert some[0].sensor_names == ("10.0.0.29:2368",)
+
+
+def test_the_figures_of_one_packet_and_of_a_head_that_stands(mixed, tmp_path):
+    """A speed that packets do not say is not a number of revolutions."""
+    packets = [one for one in datagrams_of(mixed / "alone.pcap") if one.port == 2368]
+    stands = [replace(one, payload=standing(one.payload)) for one in packets]
+    for some in (packets[:1], stands):
+        write_datagrams(tmp_path / "a.pcap", some)
+        said = lidarcfg("decode", tmp_path / "a.pcap", "--stats", "-o", tmp_path / "a.npz").stdout
+        assert f"strongest, speed not known, {len(some)} packets, 0 lost" in said
+
+
+def standing(payload: bytes) -> bytes:
+    """A VLP-16's packet with all azimuths 0."""
+    found = bytearray(payload)
+    for block in range(12):
+        found[100 * block + 2 : 100 * block + 4] = b"\0\0"
+    return bytes(found)

@@ -381,9 +381,9 @@ def test_a_sensor_inside_the_body_that_its_rig_names_is_an_error_at_its_line(tmp
 @pytest.mark.parametrize(
     ("model", "more", "said", "code"),
     [
-        ("jt128", "", "cannot be exported: no range of a", 2),
-        ("jt128", ", range_m: [1, 50]", "a exported as points: no packets", 0),
-        ("ot128", "", "a exported as points: no packets", 0),
+        ("fan-4", "", "cannot be exported: no range of a", 2),
+        ("fan-4", ", range_m: [1, 50]", "a exported as points: no packets", 0),
+        ("pandar64", "", "a exported as points: no packets", 0),
     ],
 )
 def test_a_sensor_without_packets_is_exported_if_its_range_is_known(tmp_path, model, more, said, code):
@@ -406,7 +406,7 @@ def test_a_sensor_without_packets_is_exported_if_its_range_is_known(tmp_path, mo
     )
     lidarcfg(*words, code=code)
     listed = next(line for line in lidarcfg("sensors", "list").stdout.splitlines() if line.split()[:1] == [model])
-    assert ("as points" in listed) == (model == "ot128")
+    assert ("as points" in listed) == (model == "pandar64")
 
 
 @pytest.mark.parametrize(

@@ -105,6 +105,46 @@ def test_any_bytes(maker, data, rows, seed):
         assert np.isfinite(out.xyz_m).all()
 
 
+def test_blocks_of_48_returns():
+    """An Airy's: two blocks are a group, a distance has 14 bits, and any bytes are points or none."""
+    groups = np.arange(4)[:, None]
+    wide = slots(
+        laser=np.arange(96) % 16,
+        fraction=np.tile(np.arange(96) / 96, (4, 1)),
+        offset_ns=groups * 1000 + np.arange(96),
+        kind=np.zeros(96, np.uint8),
+    )
+    decoder = packets.AiryDecoder(wide, lasers(), 4000, 1000, 0.01)
+    data = np.zeros((1, 1248), np.uint8)
+    data[0, 42 + 148 * 5 + 4 + 3 * 40 :][:3] = 0xC0 | 1000 >> 8, 1000 & 255, 7  # group 2, slot 48 + 40
+    data[0, 42 + 148 * 5 + 4 + 3 * 41 :][:3] = 0x40, 0, 9  # no distance
+    out = returns(1)
+    wanted = np.ones(1, np.bool_)
+    assert decoder.count(data, wanted) == decoder.decode(data, wanted, LAST.stamp_ns, LAST.gap_ns, LAST.kind, out) == 1
+    assert out.xyz_m[0] == pytest.approx([10, 0, 0])
+    assert (out.time_ns[0], out.laser[0], out.intensity[0]) == (2088, 88 % 16, 7)
+
+    rng = np.random.default_rng(1)
+    written = np.zeros((3, 1248), np.uint8)
+    units = rng.integers(60, 16383, (3, 384))
+    bytes_ = rng.integers(0, 256, (3, 384), np.uint8)
+    packets.write_airy_returns(
+        units * 0.01, bytes_, np.arange(384), np.zeros(384), (0.5, 200.0, 0.01, 16383.0), written
+    )
+    blocks = written[:, 42:1226].reshape(3, 8, 148)[:, :, 4:].reshape(3, 384, 3).astype(np.int64)
+    assert (blocks[..., 0] * 256 + blocks[..., 1] == units).all()
+    assert (blocks[..., 2] == bytes_).all()
+
+    odd = rng.integers(0, 256, (50, 1248), np.uint8)
+    wanted = rng.random(50) < 0.7
+    out = returns(50 * 384)
+    count = decoder.decode(odd, wanted, np.zeros(50, np.int64), np.full(50, 4000), np.zeros(50, np.uint8), out)
+    assert count == decoder.count(odd, wanted) > 0
+    assert np.isfinite(out.xyz_m).all()
+    with pytest.raises(ValueError, match=r"slots.laser: of whole blocks"):
+        packets.AiryDecoder(slots(), lasers(), 4000, 1000, 0.01)
+
+
 @pytest.mark.parametrize("maker", MAKERS)
 def test_written_and_read(maker):
     """What is beyond the limits, or is no number, is no return."""

@@ -23,7 +23,27 @@ def drawn(name):
     return [axes.lines[0].get_data() if axes.lines else None for axes in figure.axes]
 
 
-@pytest.mark.parametrize("name", catalogue())
+TURNING = [name for name, path in catalogue().items() if "beams" in yaml.safe_load(path.read_text())]
+
+
+@pytest.mark.parametrize("name", sorted(catalogue().keys() - set(TURNING)))
+def test_scan_patterns_of_the_catalogue(name):
+    """The directions of one frame, as its table has them, and when it points where."""
+    file = yaml.safe_load(catalogue()[name].read_text())["scan_pattern"]
+    with np.load(catalogue()[name].with_name(file["file"])) as table:
+        count = round(table["rate_hz"] * file["frame_ms"] / 1000)
+        steps = table["azimuth_steps"], table["elevation_steps"]
+        azimuth_deg, elevation_deg = (one.cumsum(axis=1, dtype=int).T.ravel()[:count] / 100 for one in steps)
+        time_ms = np.arange(count) * (1000 / table["rate_hz"])
+    one, whole, by_time = draw_sensor(load_sensor(name)).axes
+    shown = one.collections[0].get_offsets()
+    np.testing.assert_allclose(shown[:, 0], (azimuth_deg + 180) % 360 - 180, atol=1e-4)
+    np.testing.assert_allclose(shown[:, 1], elevation_deg, atol=1e-4)
+    assert len(whole.collections[0].get_offsets()) >= len(shown)
+    np.testing.assert_allclose(by_time.lines[0].get_xdata(), time_ms, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", TURNING)
 def test_each_sensor_of_the_catalogue(name):
     """Each laser stands at its place in the file, in all panels; times where the file names a codec."""
     beams = yaml.safe_load(catalogue()[name].read_text())["beams"]

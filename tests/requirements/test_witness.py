@@ -33,10 +33,10 @@ def agreement(rigs, seed):
 
 
 def test_beside_brute_force():
-    differ, off, some = agreement(10, 11)
+    differ, off, some = agreement(6, 11)
     assert differ == []
     assert len(off) <= 1
-    assert some >= 3
+    assert some >= 2
 
 
 @pytest.mark.nightly

@@ -36,6 +36,7 @@ from lidarcfg.viewer.window import parts
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import AT_NS, STREET, no_warning, recording, scene, tilted_rig
+from tests.placement.test_requirements_search import CHOICE
 
 STILLS = Path(__file__).parent / "stills"
 STUDY, ROOF = STREET.parent.parent / "studies/sedan.yaml", STREET.parent.parent / "rigs/roof.yaml"
@@ -397,10 +398,11 @@ def test_stills_show_where_bases_may_be_and_zones(tmp_path):
 
 def test_a_study_with_choices_is_shown_with_the_first(tmp_path):
     """One warning says which, and how to see others."""
-    done = CliRunner().invoke(view, [str(STUDY.parent / "truck-prices.yaml"), "--html", str(tmp_path / "t.html")])
+    (tmp_path / "choice.yaml").write_text(CHOICE.replace("RETURNS", "10"))
+    done = CliRunner().invoke(view, [str(tmp_path / "choice.yaml"), "--html", str(tmp_path / "t.html")])
     assert done.exit_code == 0
     assert done.stderr.startswith(
-        "lidarcfg: warning: truck-prices: the study lets models be chosen; the first of each are shown: roof vlp-16, "
+        "lidarcfg: warning: choice: the study lets models be chosen; the first of each are shown: left vlp-16, "
     )
     assert done.stderr.endswith("optimize writes a study of each choice\n")
     assert (tmp_path / "t.html").exists()

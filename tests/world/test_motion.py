@@ -16,7 +16,7 @@ from lidarcfg.geometry import pose, rotation
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, build_path, load_motion, load_path
+from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, build_path, load_path
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import datagrams_of, mount, no_warning, scene, tilted_rig
 
@@ -65,7 +65,7 @@ def test_files(tmp_path):
     (tmp_path / "a.yaml").write_text(
         "poses: [{time_s: 0, position_m: [1, 2, 3]}, {time_s: 2.5, position_m: [4, 5, 6], rpy_deg: [0, 0, 180]}]"
     )
-    lines, yaml = (build_path(load_motion(tmp_path / f"a.{suffix}")).at(np.array([2.5])) for suffix in ("tum", "yaml"))
+    lines, yaml = (load_path(tmp_path / f"a.{suffix}").at(np.array([2.5])) for suffix in ("tum", "yaml"))
     np.testing.assert_allclose(lines[0], yaml[0], atol=1e-12)
     np.testing.assert_allclose(lines[1], yaml[1])
 
@@ -90,7 +90,7 @@ def test_what_is_refused(tmp_path, name, text, match):
     if text is not None:
         (tmp_path / name).write_text(text)
     with pytest.raises(ConfigError, match=match):
-        load_motion(tmp_path / name)
+        load_path(tmp_path / name)
 
 
 def captured(tmp_path, rig, stage, trajectory, duration_ns=SECOND_NS // 4, **options):
@@ -255,7 +255,11 @@ def test_a_path_of_timed_lines_is_that_of_their_poses(tmp_path):
     lines = [" ".join(map(repr, row)) for row in rows.tolist()]
     for text in ("# a\n\n" + "\n".join(lines), "\n".join(lines) + "\n1_000 0 0 0 0 0 0 1"):
         (tmp_path / "a.tum").write_text(text)
-        at_once, singly = load_path(tmp_path / "a.tum"), build_path(load_motion(tmp_path / "a.tum"))
+        poses = [
+            TimedPose(time_s=row[0], position_m=row[1:4], quaternion_xyzw=row[4:])
+            for row in (tuple(map(float, line.split())) for line in text.splitlines() if line and line[0] != "#")
+        ]
+        at_once, singly = load_path(tmp_path / "a.tum"), build_path(Motion(poses=tuple(poses)))
         for name in ("times_s", "positions_m", "rotations", "rotation_vectors_rad"):
             assert np.array_equal(getattr(at_once, name), getattr(singly, name)), name
         seconds = np.linspace(0, 19.9, 77)

@@ -153,11 +153,11 @@ def _blocks(unit: Unit, packets: Packets, dual: Flags, driver_view: bool) -> tup
     loop = _loops(standard, packets, dual)
     before = len(standard.fires)
     for other in others:
-        rows = packets["operational_state"] == other.operational_state
-        start_ns[rows] = _starts_ns(other, packets[rows], dual[rows], driver_view)
-        loop[rows] = before + _loops(other, packets[rows], dual[rows])
+        is_other = (packets["operational_state"] == other.operational_state)[:, None]
+        start_ns = np.where(is_other, _starts_ns(other, packets, dual, driver_view), start_ns)
+        loop = np.where(is_other, before + _loops(other, packets, dual), loop)
         before += len(other.fires)
-    return start_ns, loop
+    return start_ns, loop.astype(np.uint8)
 
 
 def _starts_ns(unit: Unit, packets: Packets, dual: Flags, driver_view: bool = False) -> Times:

@@ -10,7 +10,7 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.annealing import AnnealingRounds
 from lidarcfg.placement.solvers.cma_es import CmaEs
-from lidarcfg.placement.solvers.search import Coordinates, Trials, checked
+from lidarcfg.placement.solvers.search import Best, Coordinates, Trials
 
 POINTS = 200  # at random, then CMA-ES from the best of them
 POPULATION = 30  # of CMA-ES
@@ -18,7 +18,7 @@ STEP = 0.15  # of CMA-ES at the beginning
 EVALUATIONS = 200  # of CMA-ES at most, per dimension
 
 
-class Auto:
+class Auto(Best):
     """Random points, one run of CMA-ES, and rounds of annealing. `start` (dimensions,) is among the points."""
 
     def __init__(self, coordinates: Coordinates, seed: int, start: Array | None = None) -> None:
@@ -31,7 +31,6 @@ class Auto:
         self._left = EVALUATIONS * len(coordinates)
         self.cycles = 0
         self.best_x = np.full(len(coordinates), 0.5)
-        self.best_cost = np.inf
         self.mean_cost = np.inf
 
     @property
@@ -47,15 +46,11 @@ class Auto:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x = self.ask().x
-        best = int(np.argmin(checked(cost)))
-        if cost[best] < self.best_cost:
-            self.best_x = x[best].copy()
-            self.best_cost = float(cost[best])
+        best = self.keep_best(self.ask().x, cost)
         self.cycles += 1
         if self._run is None:
             self.mean_cost = float(np.mean(cost))
-            self._run = CmaEs(len(self._coordinates), self._seed(), x[best], STEP, POPULATION)
+            self._run = CmaEs(len(self._coordinates), self._seed(), best, STEP, POPULATION)
             return
         self._run.tell(cost)
         self.mean_cost = self._run.mean_cost

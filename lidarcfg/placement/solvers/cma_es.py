@@ -4,7 +4,7 @@ import cma
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.search import Trials, checked
+from lidarcfg.placement.solvers.search import Best, Trials
 
 STEP = 0.25  # the initial standard deviation, in the unit cube
 HUGE = 1e300  # stands for inf, as cma subtracts costs
@@ -13,7 +13,7 @@ NEAR_POPULATION = 12
 FEWEST = 2  # dimensions that cma needs; a single one gets a dummy dimension beside it
 
 
-class CmaEs:
+class CmaEs(Best):
     """A search by covariance matrix adaptation (Hansen; IPOP restarts, Auger and Hansen 2005).
 
     It starts at `start` (dimensions,), by default at a random point, with cma's default population unless given.
@@ -29,7 +29,6 @@ class CmaEs:
         self._population = population or 4 + int(3 * np.log(dimensions))
         self.cycles = 0
         self.best_x = self._rng.random(dimensions)
-        self.best_cost = np.inf
         self.mean_cost = np.inf
         self.over = False
         self._begin(start if start is not None else self.best_x)
@@ -58,11 +57,8 @@ class CmaEs:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the generation."""
-        self._es.tell(self._asked, list(np.minimum(checked(cost), HUGE)))
-        best = int(np.argmin(cost))
-        if cost[best] < self.best_cost:
-            self.best_x = np.array(self._asked[best])[: self._dimensions]
-            self.best_cost = float(cost[best])
+        self.keep_best(self.ask().x, cost)
+        self._es.tell(self._asked, list(np.minimum(cost, HUGE)))
         self.mean_cost = float(np.mean(cost))
         self.cycles += 1
         self.over = bool(self._es.stop())
@@ -73,7 +69,7 @@ class CmaEs:
             self._asked = self._es.ask()
 
 
-class WarmStart:
+class WarmStart(Best):
     """Tries given points (n, dimensions), then runs CMA-ES around the best; `over` once that has converged."""
 
     def __init__(self, starts: Array, seed: int) -> None:
@@ -83,7 +79,6 @@ class WarmStart:
         self.cycles = 0
         self.over = False
         self.best_x = starts[0]
-        self.best_cost = np.inf
         self.mean_cost = np.inf
 
     @property
@@ -101,15 +96,11 @@ class WarmStart:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x = self.ask().x
-        best = int(np.argmin(cost))
-        if cost[best] < self.best_cost:
-            self.best_x = x[best].copy()
-            self.best_cost = float(cost[best])
+        best = self.keep_best(self.ask().x, cost)
         self.mean_cost = float(np.mean(cost))
         self.cycles += 1
         if self._run:
             self._run.tell(cost)
             self.over = self._run.over
         else:
-            self._run = CmaEs(x.shape[1], self._seed, x[best], NEAR_STEP, NEAR_POPULATION)
+            self._run = CmaEs(len(best), self._seed, best, NEAR_STEP, NEAR_POPULATION)

@@ -68,6 +68,21 @@ def checked(cost: Array) -> Array:
     return cost
 
 
+class Best:
+    """The best point so far, for searches to derive from."""
+
+    best_x: Array  # (dimensions,)
+    best_cost: float = np.inf
+
+    def keep_best(self, x: Array, cost: Array) -> Array:
+        """Keep the best of trials (n, dimensions), if it beats the best so far; the best of these (dimensions,)."""
+        best = int(np.argmin(checked(cost)))
+        if cost[best] < self.best_cost:
+            self.best_x = x[best].copy()
+            self.best_cost = float(cost[best])
+        return np.asarray(x[best])
+
+
 class SolverRun(Sampler, Protocol):
     """A part of a search, which ends."""
 
@@ -76,7 +91,7 @@ class SolverRun(Sampler, Protocol):
         """Whether it has ended."""
 
 
-class Runs:
+class Runs(Best):
     """A search by runs of another, one after the other. `_run` is the current one; `_follow` begins the next."""
 
     _run: SolverRun
@@ -84,7 +99,6 @@ class Runs:
     def __init__(self, dimensions: int) -> None:
         self.cycles = 0
         self.best_x = np.full(dimensions, 0.5)
-        self.best_cost = np.inf
 
     def _follow(self) -> None:
         raise NotImplementedError  # each search by runs begins them in its own way
@@ -105,11 +119,7 @@ class Runs:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x = self.ask().x
-        best = int(np.argmin(checked(cost)))
-        if cost[best] < self.best_cost:
-            self.best_x = x[best].copy()
-            self.best_cost = float(cost[best])
+        self.keep_best(self.ask().x, cost)
         self.cycles += 1
         self._run.tell(cost)
         if self._run.over:

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from hydra4.decoders.pandar_ot128 import PandarOT128
 
-from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.decode import decode, decode_pcap
 from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError
+from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.tasks import START_NS
@@ -170,6 +171,62 @@ def test_other_parts_than_are_written(model, resolution, tmp_path):
     write_pcap(path, [frames(of.host, replace(payloads, data=data))])
     save_sidecar_files(path, [of])
     np.testing.assert_array_equal(concatenate(list(decode_pcap(path, no_warning))).xyz, whole.xyz)
+
+
+@pytest.mark.parametrize(
+    ("model", "mode", "resolution"), [("ot128", "dual", "high"), ("pandar128", "last", "standard")]
+)
+def test_firings_give_the_packets_again(model, mode, resolution, tmp_path):
+    """As .npz and back, byte for byte and with no byte kept beside but the rolling counter's and its checksums'."""
+    written(mount(model, mode, resolution), tmp_path / "drive.pcap", 60)
+    save_firings(tmp_path / "a.npz", tmp_path / "drive.pcap", None, no_warning)
+    save_capture(tmp_path / "back.pcap", tmp_path / "a.npz")
+    assert (tmp_path / "back.pcap").read_bytes() == (tmp_path / "drive.pcap").read_bytes()
+    with np.load(tmp_path / "a.npz") as columns:
+        assert not len(columns["0/rest"])
+
+
+@pytest.mark.parametrize("resolution", ["standard", "high"])
+def test_lost_and_repeated_packets(resolution, tmp_path):
+    """Every tenth packet is gone, every seventh comes twice."""
+    of, path = mount("ot128", "dual", resolution), tmp_path / "drive.pcap"
+    *_, payloads = sensed(of, 200)
+    rows = np.repeat(np.arange(200), np.where(np.arange(200) % 10 == 4, 0, np.where(np.arange(200) % 7 == 0, 2, 1)))
+    write_pcap(path, [frames(of.host, replace(payloads, data=payloads.data[rows], time_ns=payloads.time_ns[rows]))])
+    save_sidecar_files(path, [of])
+    stats = []
+    cloud = concatenate(list(decode_pcap(path, no_warning, on_stats=stats.append)))
+    assert stats[0].lost == 20
+    assert stats[0].duplicates == len(rows) - 180
+    assert stats[0].return_modes == ("last and strongest",)
+    once = np.unique(np.column_stack([cloud.time_ns, cloud.ring, np.round(cloud.xyz * 1e6)]), axis=0)
+    assert len(once) == len(cloud.xyz)
+
+
+@pytest.mark.parametrize("model", ["ot128", "jt128", "pandar128"])
+def test_the_drivers_view(model, tmp_path):
+    """Hesai's SDK with its firing time file turns each laser by the file's time, near and far (udp1_4_parser.cc)."""
+    of, path = mount(model), tmp_path / "drive.pcap"
+    batch, *_ = written(of, path, 20)
+    plain = decode(path, on_warning=no_warning)
+    found = decode(path, on_warning=no_warning, driver_view=True)
+    np.testing.assert_array_equal(found.time_ns, plain.time_ns)
+    maker = codec(of.sensor)
+    rows = {
+        one.split(",")[0]: one.split(",") for one in next(tmp_path.glob("*-firetimes.csv")).read_text().splitlines()
+    }
+    start_ns = batch.firings.time_ns.reshape(40, 128)[:, 0] - maker.unit.offset_ns[batch.loop.ravel(), 0]
+    block = np.searchsorted(start_ns, plain.time_ns + 600, "right") - 1
+    channel = np.argsort(of.sensor.ring)[plain.ring]
+    near = np.linalg.norm(plain.xyz, axis=1) < 2.85
+    at = {"jt128": 1 + 0 * block, "ot128": 5 + block % 2, "pandar128": 9 + 2 * (block % 2) + near}[model]
+    unit_ns = 1 if model == "pandar128" else 1000
+    fired_ns = [
+        float(rows[str(k + 1)][column]) * unit_ns for k, column in zip(channel.tolist(), at.tolist(), strict=True)
+    ]
+    turned = np.angle(np.exp(1j * (np.arctan2(*plain.xyz[:, 1::-1].T) - np.arctan2(*found.xyz[:, 1::-1].T))))
+    np.testing.assert_allclose(turned, np.array(fired_ns) * 20 * np.pi * 1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.xyz[:, 2], plain.xyz[:, 2], atol=1e-12)
 
 
 def test_a_resolution_that_a_model_lacks():
