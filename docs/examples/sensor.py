@@ -21,8 +21,8 @@ out.mkdir(parents=True, exist_ok=True)
 # %% The sensors that are there
 for name in catalogue():
     sensor = lidarcfg.load_sensor(name)
-    elevation = sensor.beams.elevation_deg
-    print(f"{name:12} {sensor.count:3} beams, {min(elevation):6.2f}° to {max(elevation):5.2f}°")
+    if elevation := sensor.beams.elevation_deg:  # none where a scan pattern says where each firing goes
+        print(f"{name:12} {sensor.count:3} beams, {min(elevation):6.2f}° to {max(elevation):5.2f}°")
 
 # %% A new one
 # A VLP-16 whose beams are steeper, and another product id. Everything else is as the VLP-16 has it.
