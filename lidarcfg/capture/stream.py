@@ -120,10 +120,11 @@ class Stream:
             return
         newest = 0
         late = np.zeros(len(packets), np.bool_)
-        for i, time_ns in enumerate(device_ns[:stop].tolist()):
-            late[i] = 0 < device_ns[newest] - time_ns <= LATE_NS
+        times_ns = device_ns[:stop].tolist()
+        for i, time_ns in enumerate(times_ns):
+            late[i] = 0 < times_ns[newest] - time_ns <= LATE_NS
             newest = newest if late[i] else i
-        self._newest = (packets[newest : newest + 1].copy(), int(device_ns[newest])) if newest < stop - 1 else None
+        self._newest = (packets[newest : newest + 1].copy(), times_ns[newest]) if newest < stop - 1 else None
         self._count["late"] += int((late & wanted).sum())
         decoder.count(packets[~late], wanted[~late])
 

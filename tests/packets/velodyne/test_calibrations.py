@@ -179,6 +179,7 @@ def test_returns_that_are_alike_on_the_wire_are_one():
         0,
         np.broadcast_to(np.array([0, 1]), echoes.range_m.shape),
         fired.flat,
+        np.broadcast_to(fired.time_ns.reshape(-1, 1), echoes.range_m.shape),
         echoes,
         are_sent(unit_of(unit), "dual", packets),
     )
