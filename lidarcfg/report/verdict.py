@@ -11,6 +11,7 @@ from lidarcfg.report.text import terminal, truncate
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 
 PASS, FAIL = "PASS", "FAIL"
+WORD_MAX = 24  # letters that a column leaves together
 
 
 def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
@@ -19,31 +20,39 @@ def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
     `against`: that of another rig by the same requirements, whose margins are put beside.
     """
     others = ["margin of the other", "change"] if against else []
+    names = [truncate(one.name) for one in found.requirements]
+    word = max(len(word) for name in (*names, "requirement") for word in name.split())
+    loses = any(one.lost for one in found.requirements)
     table = Table(
         "verdict",
-        Column("requirement", overflow="fold"),
+        Column("requirement", overflow="fold", min_width=min(word, WORD_MAX)),
         *(Column(name, justify="right") for name in ("demanded", "reached", "margin", *others)),
         *(Column(name, justify="right") for name in ("worst at (m)", "heading", "from body")),
         Column("phases", overflow="fold"),
-        Column("sensors lost", overflow="fold"),
+        *([Column("sensors lost", overflow="fold")] if loses else []),
         box=SIMPLE,
     )
     for n, one in enumerate(found.requirements):
         beside = compared(one, against.requirements[n]) if against else []
         table.add_row(
             PASS if one.passed else FAIL,
-            truncate(one.name),
+            names[n],
             demanded(one),
             quantity(one.reached, one.unit),
             signed(one.margin, one.unit),
             *beside,
             *_worst_cells(one),
             phases(one),
-            lost_sensors(one),
+            *([", ".join(map(truncate, one.lost))] if loses else []),
         )
     console = terminal()
     console.print(table)
-    for line in remarks(found):
+    breaking = [
+        f"{name}: fails without any one of {', '.join(map(truncate, one.breaking))}"
+        for name, one in zip(names, found.requirements, strict=True)
+        if one.passed and one.breaking
+    ]
+    for line in [*breaking, *remarks(found)]:
         console.print(line)
     console.print(conclusion(found))
 

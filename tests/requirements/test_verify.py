@@ -59,6 +59,17 @@ def test_pass_and_fail(files, tmp_path):
     assert "2 of 2 requirements are not met" in done.stdout
 
 
+def test_sensors_without_which_it_fails_are_named(files, tmp_path):
+    """Of a rig with nothing to spare: each of the sensors, as the other one alone fails."""
+    reached = json.loads(lidarcfg("verify", *files(), "--json").stdout)["requirements"][0]["reached"]
+    study, rig = files(int(reached))
+    assert "crates ahead: fails without any one of left, right" in lidarcfg("verify", study, rig).stdout
+    for name in ("left", "right"):
+        alone = tmp_path / f"{name}.yaml"
+        alone.write_text("\n".join(line for line in RIG.splitlines() if f"name: {name}" not in line))
+        lidarcfg("verify", study, alone, code=3)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     ("vehicle", "reached"),
