@@ -105,6 +105,8 @@ def _window(evidence: Evidence, rig: Rig) -> tuple[Array, Array]:
         parts.append(evidence.posts.places.places[evidence.posts.places.counts][:, :2])
     if evidence.hidden:
         parts.append(evidence.hidden.at_m)
+    if evidence.verdict.worst:
+        parts.append(np.array([[evidence.verdict.worst.x_m, evidence.verdict.worst.y_m]]))
     points = np.concatenate(parts)
     return points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
 
