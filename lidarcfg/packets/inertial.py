@@ -1,5 +1,6 @@
 """Measurements of the inertial sensors inside a LiDAR along a trajectory, gravity included."""
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,16 @@ if TYPE_CHECKING:
 
 STEP_NS = SECOND_NS // 200  # before and after, over which motion is taken
 GRAVITY_M_S2 = 9.80665
+CHUNK = 1024  # measurements at a time
+
+
+def samples(start_ns: int, duration_ns: int, period_ns: int) -> Iterator[tuple[Times, Times, Times]]:
+    """Some measurements at a time: numbers (n,), when they are taken, and when the host gets them, in whole µs."""
+    total = -(-duration_ns // period_ns)
+    for first in range(0, total, CHUNK):
+        number = np.arange(first, min(first + CHUNK, total))
+        time_ns = start_ns + number * period_ns
+        yield number, time_ns, (time_ns + 500) // 1000 * 1000
 
 
 def measured(mount: Mount, trajectory: "Trajectory", position_m: Array, time_ns: Times) -> tuple[Array, Array]:

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.config.models import FileName, Model
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Times
@@ -158,6 +157,8 @@ def _fault(path: Path, row: int, name: str, what: str) -> ConfigError:
 
 def _read_npz(path: Path) -> dict[str, NDArray[Any]]:
     """The columns of an .npz. Raises LidarcfgError."""
+    from lidarcfg.clouds.cloud import read_arrays  # with all that archives need, which sensors with beams do not
+
     columns = read_arrays(path, (*COLUMNS, *PACKED))
     if all(name in columns for name in PACKED):
         columns = _unpacked(path, *(columns[name] for name in PACKED))

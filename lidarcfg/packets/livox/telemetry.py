@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.packets.codec import Payloads
-from lidarcfg.packets.inertial import measured
+from lidarcfg.packets.inertial import measured, samples
 from lidarcfg.packets.livox.layout import INERTIAL, PTP, VERSION, DataType, Packets, bytes_of, crcs
 from lidarcfg.packets.livox.model import Inertial, Unit
 from lidarcfg.sensors.rig import Mount
@@ -15,19 +15,13 @@ from lidarcfg.units import SECOND_NS
 if TYPE_CHECKING:
     from lidarcfg.world.motion import Trajectory
 
-CHUNK = 1024  # packets
-
 
 def imu_payloads(
     unit: Unit, imu: Inertial, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """A packet a measurement: rates in rad/s, accelerations in g, gravity included."""
-    period_ns = SECOND_NS // imu.rate_hz
-    total = -(-duration_ns // period_ns)
     headers = unit.facts.headers
-    for first in range(0, total, CHUNK):
-        number = np.arange(first, min(first + CHUNK, total))
-        time_ns = start_ns + number * period_ns
+    for number, time_ns, sent_ns in samples(start_ns, duration_ns, SECOND_NS // imu.rate_hz):
         packets: Packets = np.zeros(len(number), INERTIAL)
         header = packets["header"]
         header["version"] = VERSION
@@ -41,5 +35,4 @@ def imu_payloads(
         packets["acceleration_g"] = acceleration_g
         packets["rate_rad_s"] = np.radians(rate_deg_s)
         header["crc"] = crcs(bytes_of(packets))
-        sent_ns = (time_ns + 500) // 1000 * 1000
-        yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.imu, first)
+        yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.imu, int(number[0]))

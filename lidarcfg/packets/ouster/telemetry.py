@@ -15,7 +15,7 @@ import numpy as np
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes
 from lidarcfg.packets.codec import Payloads, Source
-from lidarcfg.packets.inertial import GRAVITY_M_S2, measured
+from lidarcfg.packets.inertial import GRAVITY_M_S2, measured, samples
 from lidarcfg.packets.ouster.layout import (
     ALERTS,
     PACKET_COLUMNS,
@@ -371,15 +371,13 @@ def legacy_imu_payloads(
     unit: Unit, mode: Mode, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """A packet of 48 bytes every 10 ms: three equal times, of the system and both sensors, then the values."""
-    total = -(-duration_ns // IMU_PERIOD_NS)
-    for first in range(0, total, CHUNK):
-        time_ns = start_ns + np.arange(first, min(first + CHUNK, total)) * IMU_PERIOD_NS
+    headers = unit.facts.headers
+    for number, time_ns, sent_ns in samples(start_ns, duration_ns, IMU_PERIOD_NS):
         packets = np.zeros(len(time_ns), IMU_PACKET)
         packets["time_ns"] = time_ns[:, None]
         packets["acceleration_g"], packets["rate_deg_s"] = measured(mount, trajectory, _position_m(unit), time_ns)
-        sent_ns = (time_ns + 500) // 1000 * 1000
-        headers = unit.facts.headers
         data = packets.view(np.uint8).reshape(len(packets), IMU_PACKET.itemsize)
+        first = int(number[0])
         yield Payloads(sent_ns, data, mount.telemetry_port, headers, headers.imu, first, mode.settings.fragments)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Payloads, Source
-from lidarcfg.packets.inertial import measured
+from lidarcfg.packets.inertial import measured, samples
 from lidarcfg.packets.robosense.layout import (
     AIRY,
     ANGLE,
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns
 ANGLE_MAX = 9000  # hundredths of a degree
 UNUSED = 0xFF
-CHUNK = 4096  # inertial measurements at a time
 
 
 @dataclass(frozen=True)
@@ -109,12 +108,8 @@ def imu_payloads(
     unit: Unit, imu: Imu, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """A packet a measurement, counted from 1: accelerations, gravity included, and rates in the sensor's frame."""
-    period_ns = SECOND_NS // imu.rate_hz
-    total = -(-duration_ns // period_ns)
     headers = unit.facts.headers
-    for first in range(0, total, CHUNK):
-        number = np.arange(first, min(first + CHUNK, total))
-        time_ns = start_ns + number * period_ns
+    for number, time_ns, sent_ns in samples(start_ns, duration_ns, SECOND_NS // imu.rate_hz):
         packets: Packets = np.zeros(len(number), IMU)
         packets["id"] = IMU_ID
         packets["tail"] = IMU_TAIL
@@ -126,9 +121,8 @@ def imu_payloads(
         packets["acceleration_range"] = imu.acceleration_g.bit_length() - 2  # 0: 2 g, and so on twice as much
         packets["rate_range"] = (imu.rate_deg_s // 125).bit_length() - 2
         packets["count"] = number + 1
-        sent_ns = (time_ns + 500) // 1000 * 1000
         data = packets.view(np.uint8).reshape(len(packets), IMU.itemsize)
-        yield Payloads(sent_ns, data, imu.port, headers, headers.difop, first)
+        yield Payloads(sent_ns, data, imu.port, headers, headers.difop, int(number[0]))
 
 
 def _counts(values: Array, full: int) -> Array:

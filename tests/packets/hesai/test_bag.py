@@ -1,6 +1,7 @@
 """A capture of Hesai's and Velodyne's sensors as a ROS 2 bag: each with the fields of its maker's driver."""
 
 import numpy as np
+import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -17,8 +18,10 @@ FIELDS = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("intensity", 12, 7), ("ring", 
 STAMPED = np.dtype([("xyz", "<f4", 3), ("intensity", "<f4"), ("ring", "<u2"), ("timestamp", "<f8")])
 
 
-def test_fields_as_the_makers_drivers_publish_them(tmp_path):
-    mounts = (hesai("pandar-xt16"), mount(1))
+@pytest.mark.parametrize("model", ["pandar-xt16", "ot128"])
+def test_fields_as_the_makers_drivers_publish_them(model, tmp_path):
+    mounts = (hesai(model), mount(1))
+    topic = f"/{model.replace('-', '_')}/points"
     path = tmp_path / "two.pcap"
     streams = simulated_frames(Rig("two", mounts), load_scene(STREET), np.eye(4), 50_000_000)
     write_pcap(path, in_time_order(streams))
@@ -28,16 +31,16 @@ def test_fields_as_the_makers_drivers_publish_them(tmp_path):
     with Reader(tmp_path / "bag") as reader:
         messages = {c.topic: store.deserialize_cdr(raw, c.msgtype) for c, _, raw in reader.messages()}
     fields = {
-        topic: [(field.name, field.offset, field.datatype) for field in message.fields]
-        for topic, message in messages.items()
-        if topic.endswith("/points")
+        name: [(field.name, field.offset, field.datatype) for field in message.fields]
+        for name, message in messages.items()
+        if name.endswith("/points")
     }
     assert fields["/lidar_1/points"] == [*FIELDS, ("time", 18, 7)]
-    assert fields["/pandar_xt16/points"] == [*FIELDS, ("timestamp", 18, 8)]
-    message = messages["/pandar_xt16/points"]
+    assert fields[topic] == [*FIELDS, ("timestamp", 18, 8)]
+    message = messages[topic]
     assert message.point_step == 26
     rows = np.frombuffer(bytes(message.data), STAMPED)
-    (scan,) = (scan for scan in scans(path, no_warning, Rig("two", mounts)) if scan.sensor_names == ("pandar-xt16",))
+    (scan,) = (scan for scan in scans(path, no_warning, Rig("two", mounts)) if scan.sensor_names == (model,))
     np.testing.assert_array_equal(rows["xyz"], scan.xyz.astype("<f4"))
     np.testing.assert_array_equal(rows["ring"], scan.ring)
     np.testing.assert_array_equal(rows["intensity"], scan.intensity)
