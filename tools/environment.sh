@@ -114,7 +114,8 @@ more_build_requirements() {
 install_package() {
   local wanted
   mapfile -t wanted < <(build_requirements)
-  pip_install "${wanted[@]}"
+  # setuptools: some of the tests' packages have no wheel, and are built in this environment too.
+  pip_install "${wanted[@]}" "setuptools>=70.1"
   mapfile -t wanted < <(more_build_requirements)
   [ -z "${wanted[*]}" ] || pip_install "${wanted[@]}"
   pip_install --verbose --no-build-isolation --editable ".${1:+[$1]}"
