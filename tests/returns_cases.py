@@ -13,10 +13,9 @@ from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.simulator import Simulator
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 from lidarcfg.world.motion import Trajectory
-from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.scene_file import SceneFile
-from lidarcfg.world.tracer import Tracer, build_bvh
+from lidarcfg.world.tracer import Obstacles, Tracer, build_bvh
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 QUADS = (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)

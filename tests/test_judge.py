@@ -10,8 +10,7 @@ from scipy.stats import binomtest
 
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.simulate.returns import Target, compiled, returns, scanner
-from lidarcfg.world.obstacles import Obstacles
-from lidarcfg.world.tracer import build_bvh
+from lidarcfg.world.tracer import Obstacles, build_bvh
 from lidarcfg.world.vehicle import load_vehicle
 from tests.returns_cases import lidars, mount
 from tests.test_tools import ROOT

@@ -19,7 +19,6 @@ from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.placement.cones import Lidar, gaps_at
 from lidarcfg.placement.evaluator import Evaluator
-from lidarcfg.placement.grid import beam_gaps
 from lidarcfg.placement.metric import max_vsr, vsr_m
 from lidarcfg.placement.objective import Criterion
 from lidarcfg.placement.optimize import optimize
@@ -28,7 +27,7 @@ from lidarcfg.placement.search_run import costs
 from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.lshade import Lshade
 from lidarcfg.placement.study import load_study
-from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.subspace import beam_gaps, segment
 from lidarcfg.sensors.rig import Rig
 from tests import oracle
 from tests.capture_fixtures import PLY, datagrams_of, mount, no_warning, room, scene

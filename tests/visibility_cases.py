@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.grid import seen_cuboids
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.subspace import seen_cuboids
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world.meshes import box_mesh, join_meshes, lathe
 from lidarcfg.world.scene_file import Box

@@ -26,11 +26,11 @@ from page import ROOT, machine
 
 from lidarcfg.core import placement as core
 from lidarcfg.placement.cones import Lidar, cone_rows
-from lidarcfg.placement.grid import grid_of
 from lidarcfg.placement.metric import vsr_of_counts
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study, load_study, with_solver
+from lidarcfg.placement.subspace import grid_of
 from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 from lidarcfg.requirements.robustness import Robust
 
@@ -133,7 +133,7 @@ import json, resource, statistics, sys, time
 import numpy as np
 from lidarcfg.core import placement as core
 from lidarcfg.placement.cones import cone_rows, lidar
-from lidarcfg.placement.grid import grid_of
+from lidarcfg.placement.subspace import grid_of
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 part, poses, sines = json.loads(sys.argv[1])
@@ -173,7 +173,7 @@ from dataclasses import replace
 import numpy as np
 from lidarcfg.core import placement as core
 from lidarcfg.placement.cones import cone_rows
-from lidarcfg.placement.grid import grid_of
+from lidarcfg.placement.subspace import grid_of
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 from lidarcfg.placement.study import load_study, with_solver

@@ -26,10 +26,9 @@ sys.path.insert(0, str(ROOT))
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import gaps_at
-from lidarcfg.placement.grid import beam_gaps
 from lidarcfg.placement.metric import max_vsr
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.subspace import beam_gaps, segment
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.tracer import Tracer
 from tests import documents, ray_cases, visibility_cases

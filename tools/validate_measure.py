@@ -39,7 +39,7 @@ from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.returns import Poses, Scanner, Target, compiled
 from lidarcfg.world.meshes import read_mesh
-from lidarcfg.world.obstacles import NO_OBSTACLES
+from lidarcfg.world.tracer import NO_OBSTACLES
 
 STUDIES = tuple(ROOT / f"data/studies/{name}.yaml" for name in ("sedan", "truck", "liu2018-4x16"))
 MESHES = ROOT / "data/objects"

@@ -125,7 +125,7 @@ def decode(
             pcap, warn, mounted, model, on_stats=on_stats, selection=selection, driver_view=driver_view
         )
         if truth and mounted:
-            from lidarcfg.capture.objects import with_objects
+            from lidarcfg.capture.ground_truth import with_objects
 
             clouds = iter([with_objects(truth, concatenate(list(clouds)), mounted)])
         if trajectory or deskew:

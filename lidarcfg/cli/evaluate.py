@@ -51,8 +51,8 @@ def evaluate(
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
         from lidarcfg.placement.evaluation import evaluate as evaluation
+        from lidarcfg.placement.evaluation import robustness
         from lidarcfg.placement.report_inputs import report_inputs
-        from lidarcfg.placement.sensitivity import robustness
         from lidarcfg.placement.study import load_study
         from lidarcfg.report.comparison import with_baseline
         from lidarcfg.report.document import Commands

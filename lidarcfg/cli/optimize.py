@@ -224,10 +224,9 @@ def _find_cheapest(
     from lidarcfg.placement.cheapest import cheapest
     from lidarcfg.placement.report_inputs import report_inputs
     from lidarcfg.placement.sweep import Cluster
-    from lidarcfg.report.cheapest import COMBINATIONS, print_cheapest, save_combinations
     from lidarcfg.report.document import Commands
     from lidarcfg.report.results import RESULTS, check_writable, save_placement
-    from lidarcfg.report.tables import print_placement
+    from lidarcfg.report.tables import COMBINATIONS, print_cheapest, print_placement, save_combinations
 
     check_writable(folder, (*RESULTS, COMBINATIONS))
     with progress(quiet) as on_progress:

@@ -18,10 +18,10 @@ from lidarcfg.errors import ConversionError, PacketError, missing
 from lidarcfg.files import check_replaceable, commit, replacing_folder, resolve, temporary_folder
 from lidarcfg.geometry import inverse
 from lidarcfg.io.drive_dataset import DriveDataset, stamp_ns
-from lidarcfg.io.frames import BASE_LINK, MAP, ros_name, ros_names
+from lidarcfg.io.kits.frames import BASE_LINK, MAP, ros_name, ros_names
 from lidarcfg.io.messages import Messages, ros_store
+from lidarcfg.packets.codec import OBJECT, PLAIN, PointField
 from lidarcfg.packets.families import family
-from lidarcfg.packets.point_fields import OBJECT, PLAIN, PointField
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.objects import GroundTruth
+from lidarcfg.capture.ground_truth import GroundTruth
 from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import BOX, BOX_SIZES, PointCloud, save_clouds
 from lidarcfg.errors import CloudError, PacketError
 from lidarcfg.geometry import Array, inverse, transform
-from lidarcfg.io.frames import quaternion_xyzw
+from lidarcfg.io.kits.frames import quaternion_xyzw
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.tasks import Drive, object_names
 from lidarcfg.world.boxes import BoxedObject, Boxes, boxed_objects, boxes_at

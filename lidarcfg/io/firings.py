@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.pcapng import SECTION
+from lidarcfg.capture.pcap import SECTION
 from lidarcfg.capture.reader import CaptureReader
 from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.config.models import COORDINATE_MAX_M, loads

@@ -21,8 +21,8 @@ from lidarcfg.inputs import check_memory, check_regular
 from lidarcfg.io.drive_dataset import DriveDataset, hits, stamp_ns
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.boxes import Boxes
-from lidarcfg.world.categories import DATASET_NAMES, OUTLIER
 from lidarcfg.world.scene import Scene
+from lidarcfg.world.scene_file import DATASET_NAMES, OUTLIER
 
 FULL = 255  # the intensity that is a reflectance of 1
 WARNING_M = 1e-4  # float32 rounding beyond that is worth a warning

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from lidarcfg.io.frames import BASE_LINK, quaternion_xyzw, ros_names
+from lidarcfg.io.kits.frames import BASE_LINK, quaternion_xyzw, ros_names
 from lidarcfg.sensors.rig import Rig
 
 FILE = '''\

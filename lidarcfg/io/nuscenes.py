@@ -18,11 +18,11 @@ from lidarcfg.clouds.cloud import PointCloud
 from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array
 from lidarcfg.io.drive_dataset import DriveDataset, stamp_ns
-from lidarcfg.io.frames import quaternion_xyzw
+from lidarcfg.io.kits.frames import quaternion_xyzw
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.boxes import BoxedObject, Boxes, boxes_at
-from lidarcfg.world.categories import DATASET_NAMES
+from lidarcfg.world.scene_file import DATASET_NAMES
 
 TOKENS = uuid.UUID("4d0e4bd4-9c4e-5b7c-8a55-0d6c2f9b7a11")  # ours; the same rig gives the same tokens
 VERSION = "v1.0-lidarcfg"  # the folder of the tables

@@ -10,8 +10,7 @@ from xml.etree import ElementTree
 from lidarcfg.config.models import Vec3
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import read_regular
-from lidarcfg.io.frames import BASE_LINK, ros_names
-from lidarcfg.io.kits.frames import FrameTree, Joint, Pose, listed
+from lidarcfg.io.kits.frames import BASE_LINK, FrameTree, Joint, Pose, listed, ros_names
 from lidarcfg.io.kits.kit import Kit, kit_of_tree
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import catalogue

@@ -1,7 +1,7 @@
 """The makers' packets, a folder each: `layout`, `model`, `encode`, `decode`, `telemetry`.
 
 To read in this order: `codec` is the interface that each maker implements, `families` the registry of them. Then a
-maker. `facts`, `blocks`, `inertial` and `point_fields` are what several makers share. `emulator` is the interface by
+maker. `facts`, `blocks` and `inertial` are what several makers share. `emulator` is the interface by
 which a maker answers drivers, in its own `emulator`.
 """
 

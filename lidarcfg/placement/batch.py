@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.grid import Counts, Words
-from lidarcfg.world.obstacles import Obstacles
+from lidarcfg.placement.subspace import Counts, Words
+from lidarcfg.world.tracer import Obstacles
 
 Flags = NDArray[np.bool_]
 

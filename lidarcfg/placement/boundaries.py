@@ -27,10 +27,9 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.scene_file import Cylinder, Sphere
 from lidarcfg.world.solids import connected_components, unique_vertices
-from lidarcfg.world.tracer import CYLINDER, SPHERE, TRIANGLE
+from lidarcfg.world.tracer import CYLINDER, SPHERE, TRIANGLE, Obstacles
 from lidarcfg.world.vehicle import Vehicle, object_mesh
 
 WIDER = 1e-9  # rad, by which directions are widened before sorting

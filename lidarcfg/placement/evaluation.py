@@ -1,4 +1,4 @@
-"""How well a rig does in a study."""
+"""How well a rig does in a study, what a LiDAR that fails changes, and how much each axis of each mount matters."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -15,10 +15,10 @@ from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
 from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Counted, Detection, counted_places, detection
+from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
-from lidarcfg.placement.objective import without_cones
+from lidarcfg.placement.objective import Criterion, Trial, without_cones
 from lidarcfg.placement.return_counts import ReturnCounts, return_counts
-from lidarcfg.placement.sensitivity import Robustness
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
 from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
@@ -28,6 +28,93 @@ from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import check_outside
+
+CUBOIDS_MAX = 1_000_000  # for larger regions it is omitted
+STEP_M = 0.01  # of a position
+STEP_DEG = 0.1  # of an angle
+OFFSETS = (-5, -1, 1, 5)  # steps by which a coordinate is off
+HUGE = float(np.finfo(np.float64).max)  # to beat: everything does
+
+
+@dataclass(frozen=True)
+class DegradedRig:
+    """A rig without one of its LiDARs; or the whole one, to compare with."""
+
+    lost: str | None  # the mount that fails; None: the whole rig
+    max_vsr_m: float
+    objective: float  # the study's, of what is left
+    zones: tuple[ZoneVsr, ...]
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """The effects of failures and mounting errors on a rig."""
+
+    whole: DegradedRig
+    without: tuple[DegradedRig, ...]  # each LiDAR in turn; none where there is one alone
+    change_m: Array  # (lidars, 6, OFFSETS) of max VSR, with x, y, z, roll, pitch or yaw off
+
+    @property
+    def worst(self) -> DegradedRig | None:
+        """The case of failure with the largest max VSR."""
+        return max(self.without, key=lambda rig: rig.max_vsr_m, default=None)
+
+    @property
+    def slope_m(self) -> Array:
+        """(lidars, 6) the change of max VSR per step: the slope of the best line through the whole rig's value."""
+        off = np.array(OFFSETS, np.float64)
+        slope: Array = self.change_m @ off / (off @ off)
+        return slope
+
+    @property
+    def increase_m(self) -> Array:
+        """(lidars, 6) the largest increase of max VSR; 0 where there is none."""
+        most: Array = np.maximum(self.change_m.max(axis=2), 0.0)
+        return most
+
+    def largest_m(self, angles: bool) -> float:
+        """The largest increase of max VSR by a position, or an angle, that is off."""
+        return float((self.increase_m[:, 3:] if angles else self.increase_m[:, :3]).max())
+
+
+def robustness(study: Study, rig: Rig) -> Robustness | None:
+    """The effects of failures and mounting errors; None where the region has too many cuboids for a quick answer."""
+    if study.region.included.size > CUBOIDS_MAX:
+        return None
+    trial = Trial(study.region, rig_lidars(rig), study.visibility)
+    criterion = study.criterion(mounts=rig.mounts)
+    names = [mount.name for mount in rig.mounts]
+    everyone = range(len(rig.mounts))
+    without = [
+        _degraded(study, criterion, trial.left(tuple(i for i in everyone if i != lost)), names[lost])
+        for lost in everyone
+        if len(names) > 1
+    ]
+    return Robustness(_degraded(study, criterion, trial, None), tuple(without), changes_m(study, rig))
+
+
+def _degraded(study: Study, criterion: Criterion, trial: Trial, lost: str | None) -> DegradedRig:
+    subspaces = trial.subspaces
+    return DegradedRig(
+        lost, float(vsr_m(subspaces).max()), criterion.of(trial), max_vsr_by_zone(study.zones, subspaces)
+    )
+
+
+def changes_m(study: Study, rig: Rig, step_m: float = STEP_M, step_deg: float = STEP_DEG) -> Array:
+    """(lidars, 6, OFFSETS) the change of max VSR when one coordinate of a pose is off by OFFSETS steps."""
+    pose = np.array([[*mount.position_m, *mount.rpy_rad] for mount in rig.mounts])
+    step = np.repeat([step_m, np.radians(step_deg)], 3)
+    lidars, axes = np.indices((len(pose), 6)).reshape(2, -1)
+    moved = np.repeat(pose[None], len(OFFSETS) * pose.size, axis=0)
+    for number, off in enumerate(OFFSETS):
+        moved[number :: len(OFFSETS)][np.arange(pose.size), lidars, axes] += off * step[axes]
+    every = np.concatenate([pose[None], moved])
+    with Evaluator(study.region, rig_lidars(rig), visibility=study.visibility) as evaluator:
+        source = np.zeros(len(every), np.int64)
+        cost = evaluator.costs(every, source, pose[None], np.full(len(every), HUGE))
+    change: Array = cost[1:] - cost[0]
+    return change.reshape(len(pose), 6, len(OFFSETS))
+
 
 WORST = 10  # how many of the worst subspaces an evaluation lists
 

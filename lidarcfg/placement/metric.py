@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from lidarcfg import core
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
-from lidarcfg.placement.grid import compare_labels
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import Subspaces, connect
+from lidarcfg.placement.subspace import Subspaces, compare_labels, connect
 from lidarcfg.placement.visibility import UNLIMITED_SIGHT, Visibility
 
 Counts = NDArray[np.int64]

@@ -30,7 +30,7 @@ from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Weight, Weights, weighted_vsr_m
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.returns import Poses
-from lidarcfg.world.obstacles import NO_OBSTACLES
+from lidarcfg.world.tracer import NO_OBSTACLES
 
 SIGHT = ("blind_volume", "seen_by_two", "blind_spot_m")  # terms that tell rigs apart only where something limits sight
 

@@ -15,10 +15,9 @@ from lidarcfg.placement.analytic import analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, GapFit, Rings, detection_by_distance, gap_fit
-from lidarcfg.placement.evaluation import Evaluation
+from lidarcfg.placement.evaluation import Evaluation, robustness
 from lidarcfg.placement.metric import max_vsr, volume_m3
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sensitivity import robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces
 from lidarcfg.requirements.evidence import Verification, evidence

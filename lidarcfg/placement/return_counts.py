@@ -28,7 +28,7 @@ from lidarcfg.placement.detection import (
 from lidarcfg.placement.region import AXES, Region
 from lidarcfg.requirements.target import box_target, mesh_target
 from lidarcfg.simulate.returns import Poses, Target, returns
-from lidarcfg.world.obstacles import Obstacles
+from lidarcfg.world.tracer import Obstacles
 
 STEP_M = 1.0
 HEADINGS_DEG = (0.0,)

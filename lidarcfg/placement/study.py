@@ -44,8 +44,8 @@ from lidarcfg.requirements.robustness import Robust, mounted
 from lidarcfg.requirements.sensors import scanners_of
 from lidarcfg.requirements.target import box_target
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
-from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles
 from lidarcfg.world.vehicle import Vehicle, vehicle
 
 

@@ -1,19 +1,141 @@
-"""Non-detectable subspaces, into which the beams' cones cut the region (paper, sections III-B and III-C)."""
+"""Labels and subspaces: cones of beams cut the region into non-detectable subspaces (paper, sections III-B and III-C).
+
+Two neighbouring cuboids lie in one subspace if no cone passes between them, that is if every digit of their base-n
+labels is the same; a LiDAR that does not see a cuboid has one digit for it, whatever its beams. The labels of a region
+are rows of bits, 64 cuboids along x to a word. Each row of up to 64 cuboids has three words, its links: whether each
+cuboid and the one before it along x, y and z have the same digits. The links of several LiDARs are those of each,
+joined by `and`.
+
+Rows are numbered ((k + 1)(ny + 2) + j + 1) · chunks + c, so that every neighbour exists; a cuboid is row · 64 + bit.
+"""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.core import placement as core
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.cones import Lidar, cone_rows
-from lidarcfg.placement.grid import Labels, compare_labels, count_set, cuboid_number
+from lidarcfg.inputs import check_memory
+from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, gaps_at
 from lidarcfg.placement.region import Region, check_voxels
-from lidarcfg.placement.visibility import UNLIMITED_SIGHT, Visibility
+from lidarcfg.placement.visibility import UNLIMITED_SIGHT, Sight, Visibility
+
+Words = NDArray[np.uint64]
+Counts = NDArray[np.int64]
+BEAMS_MAX = 1_000_000  # of all LiDARs together
+LARGE = 2**14  # rows from which on what LiDARs see is found on threads
+WORDS = 16  # a row that an evaluation needs at least, besides three for each LiDAR
+
+
+def grid_of(region: Region, weights: tuple[Array, NDArray[np.integer]] | None = None) -> core.Grid:
+    """The grid of a region; `weights` as `zones.Weights` has them: (n,), and by cuboid 1 + which of them."""
+    weight, number = weights or (np.empty(0), np.empty(0, np.uint8))
+    included = pack(region.included).ravel()
+    weighted = np.zeros((len(weight), included.size), np.uint64)
+    for n in range(len(weight)):
+        weighted[-1 - n] = pack(np.equal(number, n + 1)).ravel()
+    return core.Grid(*region.centres(), included, region.cuboid_m.tolist(), weight[::-1].copy(), weighted)
+
+
+def pack(bits: NDArray[np.bool_]) -> Words:
+    """(nz + 2, ny + 2, chunks) the words of flags by cuboid (nx, ny, nz), 64 along x, with a margin of none."""
+    nx, ny, nz = bits.shape
+    words = np.zeros((nz + 2, ny + 2, -(-nx // 64)), np.uint64)
+    for chunk in range(words.shape[2]):
+        bytes_ = np.zeros((nz, ny, 8), np.uint8)
+        found = np.packbits(bits[64 * chunk : 64 * chunk + 64], axis=0, bitorder="little")
+        bytes_[..., : len(found)] = found.transpose(2, 1, 0)
+        words[1:-1, 1:-1, chunk] = bytes_.view("<u8")[..., 0]
+    return words
+
+
+def count_set(region: Region, words: Words) -> NDArray[np.integer]:
+    """(nx, ny, nz) in how many of several words (n, rows) each cuboid is set."""
+    _, ny, nz = region.shape
+    out = np.empty(region.shape, np.min_scalar_type(len(words)))
+    chunks = words.reshape(len(words), nz + 2, ny + 2, -1)[:, 1:-1, 1:-1].astype("<u8", copy=False)
+    for j in range(ny):
+        for chunk in range(chunks.shape[3]):
+            bytes_ = np.ascontiguousarray(chunks[:, :, j, chunk]).view(np.uint8).reshape(len(words), nz, 8)
+            count = np.unpackbits(bytes_, axis=2, bitorder="little").sum(axis=0, dtype=out.dtype)
+            part = out[64 * chunk : 64 * chunk + 64, j]
+            part[:] = count.T[: len(part)]
+    return out
+
+
+def cuboid_number(grid: core.Grid, index: tuple[Counts, Counts, Counts]) -> Counts:
+    """The numbers of cuboids by their indices along x, y and z."""
+    i, j, k = index
+    row = ((k + 1) * (grid.shape[1] + 2) + j + 1) * grid.chunks + (i >> 6)
+    number: Counts = row << 6 | i & 63
+    return number
+
+
+def check_grid(grid: core.Grid, lidars: int, beams: int, threads: int = 1) -> None:
+    """Raises LidarcfgError where there are too many beams, or memory does not hold evaluations on that many threads."""
+    if lidars * beams > BEAMS_MAX:
+        what = f"{lidars} sensors of up to {beams:,} beams are {lidars * beams:,} to compare cuboids with"
+        raise LidarcfgError(f"{what}; allowed: at most {BEAMS_MAX:,}")
+    layer = grid.rows // (grid.shape[2] + 2)
+    needed = 8.0 * threads * ((WORDS + 3 * lidars) * grid.rows + 2 * layer * lidars * beams)
+    what = f"comparing {64 * grid.rows:,} cuboids with {lidars * beams:,} beams on {threads} threads"
+    check_memory(what, needed, "use larger cuboids or fewer beams")
+
+
+class Labels(NamedTuple):
+    """Which neighbouring cuboids of a region have the same label, for some LiDARs."""
+
+    region: Region
+    lidars: Sequence[Lidar]
+    grid: core.Grid  # the region as rows of bits
+    links: Words  # (rows, 3) whether a cuboid and the one before it along x, y and z have the same label
+    seen: Words | None  # (lidars, rows) the cuboids that each LiDAR sees; None: all
+
+
+def compare_labels(region: Region, lidars: Sequence[Lidar], sight: Sight = UNLIMITED_SIGHT) -> Labels:
+    """Compare the labels of neighbouring cuboids (paper, III-B): equal where no cone passes between their centres.
+
+    Raises LidarcfgError where there are too many beams, or where memory does not hold the comparison.
+    """
+    grid = grid_of(region)
+    cones = cone_rows(lidars)
+    check_grid(grid, len(cones), cones.shape[1] - FIRST)
+    seen = _seen(grid, cones, sight) if len(sight.limits) else None
+    links = np.empty((grid.rows, 3), np.uint64)
+    core.links(grid, cones, np.empty((0, grid.rows), np.uint64) if seen is None else seen, links)
+    return Labels(region, lidars, grid, links, seen)
+
+
+def seen_cuboids(region: Region, lidars: Sequence[Lidar], sight: Sight) -> NDArray[np.bool_]:
+    """(lidars, nx, ny, nz): which cuboids each LiDAR sees; none that is excluded."""
+    words = _seen(grid_of(region), cone_rows(lidars), sight)
+    each = [count_set(region, row[None]).astype(np.bool_) for row in words]
+    return np.array(each, np.bool_).reshape(len(lidars), *region.shape)
+
+
+def _seen(grid: core.Grid, cones: Array, sight: Sight) -> Words:
+    """(lidars, rows) the words of which cuboids each LiDAR sees, computed on threads where the grid is large."""
+    if grid.rows <= LARGE or len(cones) <= 1:
+        return core.seen(grid, cones, sight)
+
+    def of_one(lidar: int) -> Words:
+        one = slice(lidar, lidar + 1)
+        return core.seen(grid, cones[one], sight._replace(limits=sight.limits[one]))
+
+    with ThreadPoolExecutor() as pool:
+        return np.concatenate(list(pool.map(of_one, range(len(cones)))))
+
+
+def beam_gaps(region: Region, lidar: Lidar) -> Counts:
+    """(nx, ny, nz) the beam gap index of each cuboid: how many of a LiDAR's cones lie at or below its centre."""
+    points = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1)
+    return gaps_at(points.reshape(-1, 3), lidar).reshape(region.shape)
+
 
 if TYPE_CHECKING:
     import open3d

@@ -15,8 +15,8 @@ from lidarcfg import core, maths
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar, cone_rows
 from lidarcfg.placement.region import Region
-from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.scene import Scene
+from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles
 from lidarcfg.world.vehicle import static_bvh
 
 LIMITS = 9  # columns of Sight.limits

@@ -19,11 +19,10 @@ from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.geometry import Array
 from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.detection import DetectionObject
-from lidarcfg.placement.evaluation import Evaluation
+from lidarcfg.placement.evaluation import OFFSETS, STEP_DEG, STEP_M, Evaluation, Robustness
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.return_counts import STEP_M as STEP_M_OF_RETURNS
 from lidarcfg.placement.search_run import Log, Placement
-from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
 from lidarcfg.report.document import Baseline, Commands, report

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, DegradedRig, Robustness
+from lidarcfg.placement.evaluation import OFFSETS, STEP_DEG, STEP_M, DegradedRig, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.placement.zones import ZoneVsr

@@ -25,7 +25,7 @@ from lidarcfg.requirements.sensors import (
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import ClusterRule, Lowest, Target, count_clusters
-from lidarcfg.world.obstacles import Obstacles
+from lidarcfg.world.tracer import Obstacles
 
 LOWEST = 256  # places, around which others are tried
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing

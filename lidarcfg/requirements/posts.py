@@ -24,7 +24,7 @@ from lidarcfg.requirements.target import box_target
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import Target
-from lidarcfg.world.obstacles import Obstacles
+from lidarcfg.world.tracer import Obstacles
 
 AZIMUTHS = 360
 STEP_M = 0.05  # between two posts of an azimuth

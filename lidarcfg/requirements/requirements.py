@@ -26,7 +26,7 @@ from lidarcfg.requirements.scenarios import ScenarioRequirement
 from lidarcfg.requirements.shadow import HEIGHT_M, WITHIN_M, ShadowRequirement
 from lidarcfg.requirements.sight import Bounds
 from lidarcfg.requirements.target import target_of
-from lidarcfg.world.obstacles import Obstacles
+from lidarcfg.world.tracer import Obstacles
 from lidarcfg.world.vehicle import Vehicle
 
 Requirement = (

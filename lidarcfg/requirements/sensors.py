@@ -13,7 +13,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.requirements.robustness import mounted
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import Lowest, Poses, Target, compiled, count_lowest, scanner
-from lidarcfg.world.obstacles import Obstacles
+from lidarcfg.world.tracer import Obstacles
 
 KEPT_BYTES = 1 << 28  # of counts, for the places of a requirement
 COUNT_BYTES = 5  # of a count and its phase

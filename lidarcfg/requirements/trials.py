@@ -26,7 +26,7 @@ from lidarcfg.requirements.sensors import scanners_of, united
 from lidarcfg.requirements.shadow import ShadowRequirement
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import Target
-from lidarcfg.world.obstacles import Obstacles
+from lidarcfg.world.tracer import Obstacles
 
 KEPT_BYTES = 1 << 28  # of counts, of all sensors at all poses
 KEPT_MIN = 256  # sensors at poses, whatever memory they take

@@ -12,7 +12,7 @@ PRESET = "measured"
 
 
 class Realism(Model):
-    """Each is off by default: captures are exact. simulate/noise.py and echoes.py name the models' sources."""
+    """Each is off by default: captures are exact. simulate/echoes.py and echoes.py name the models' sources."""
 
     renamed: ClassVar = {"dropout_share": "dropout_fraction"}
 

@@ -12,8 +12,7 @@ from lidarcfg.core import world
 from lidarcfg.geometry import Array, inverse, transform
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import PHASES, Target, scanner
-from lidarcfg.world.obstacles import Obstacles
-from lidarcfg.world.tracer import NO_SLOT
+from lidarcfg.world.tracer import NO_SLOT, Obstacles
 
 MARGIN_RAD = math.radians(4)  # around the object, at least; beams within it are kept
 MARGIN = 0.25  # of the object's extent

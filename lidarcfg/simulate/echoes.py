@@ -1,8 +1,11 @@
-"""Echoes of a wide beam: what its rays hit, merged, and what rain and fog send back.
+"""Echoes of a wide beam: what its rays hit, merged, and what rain and fog send back; with noise and dropouts.
 
 The power of an echo follows the LiDAR equation for extended Lambertian targets, P ~ ρ cos θ exp(-2 α r) / r²
 (Jelalian, Laser Radar Systems, 1992, ch. 1; Rasshofer, Spies and Spies, Adv. Radio Sci. 9, 2011, 49-60).
 A retro-reflector (byte above 100) reflects independently of the angle; its ρ is taken as byte / 100.
+
+Random numbers come by firing and by laser, repeatable from a seed, whatever is computed in parallel. The noise of real
+sensors stands in `sensors/*.yaml`; tests/simulate/roughness.py measures it.
 """
 
 import math
@@ -17,8 +20,21 @@ from lidarcfg.core import simulate
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.random_numbers import CELL, uniforms
 from lidarcfg.world.scene_file import Weather
+
+DROPOUT, NOISE, CELL, LASER, INTENSITY, ALONE = range(6)  # streams of random numbers
+
+
+def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
+    """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided.
+
+    `first` and `count` are multiples of four: Philox generates four at a time.
+    """
+    assert first % 4 == 0
+    assert count % 4 == 0
+    philox = np.random.Philox(key=[realism.seed, 8 * sensor_index + stream], counter=[first // 4, 0, 0, 0])
+    return np.random.Generator(philox).random(count) + 2.0**-54
+
 
 PULSE_M = 0.75  # half the length of a 5 ns pulse: a guess, no maker states it
 CELLS = 24  # of PULSE_M, from the sensor's minimum range on, that rain and fog can send an echo from
@@ -168,3 +184,56 @@ def _droplets(
     albedo = math.pi * PULSE_M * alpha / LIDAR_RATIO_SR * speckle
     best = np.argmax(albedo * maths.exp(-2 * alpha * middle) / middle**2, axis=1)
     return middle[best], albedo[np.arange(count), best]
+
+
+DARK = 2  # reflectivities below are of dark targets
+
+
+def apply_dropout(found: Echoes, realism: Realism, sensor_index: int, first: int) -> None:
+    """Remove all echoes of a fraction of the firings; firings are numbered from `first` on."""
+    if realism.dropout_fraction:
+        lost = uniforms(realism, sensor_index, DROPOUT, first, len(found.range_m)) < realism.dropout_fraction
+        found.range_m[lost] = np.inf
+        found.strongest_m[lost] = np.inf
+
+
+def add_noise(found: Echoes, realism: Realism, sensor_index: int, first: int) -> None:
+    """Write the range noise of each candidate, and add noise to its reflectivity; equal echoes get equal noise."""
+    dark_m = realism.range_noise_m if realism.dark_noise_m is None else realism.dark_noise_m
+    if realism.range_noise_m or dark_m:
+        sigma_m = np.where(found.reflectivity < DARK, dark_m, realism.range_noise_m)
+        found.noise_m[:] = sigma_m * _normals(realism, sensor_index, NOISE, first, found)
+    if realism.intensity_noise:
+        levels = realism.intensity_noise * _normals(realism, sensor_index, INTENSITY, first, found)
+        found.reflectivity[:] = np.clip(np.rint(found.reflectivity + levels), 0, 255)
+
+
+def laser_errors_m(realism: Realism, sensor_index: int, lasers: int) -> Array:
+    """(L,): the constant error of each laser of a unit, whose standard deviation is the one that is asked for.
+
+    They are as evenly spread as those of a normal distribution can be; the seed says which laser has which.
+    """
+    if not realism.laser_error_m or lasers < 2:
+        return np.zeros(lasers)
+    from scipy.special import ndtri
+
+    scores = ndtri((np.arange(lasers) + 0.5) / lasers)
+    which = np.argsort(uniforms(realism, sensor_index, LASER, 0, -(-lasers // 4) * 4)[:lasers])
+    return np.asarray(realism.laser_error_m * (scores / scores.std())[which])
+
+
+def drop_one_return(pairs: Echoes, realism: Realism, sensor_index: int, first: int) -> None:
+    """Drop the strongest or the last of a fraction of dual returns (N, 2), in that order."""
+    if realism.last_alone_fraction or realism.strongest_alone_fraction:
+        drawn = uniforms(realism, sensor_index, ALONE, first, len(pairs.range_m))
+        pairs.range_m[drawn < realism.last_alone_fraction, 0] = np.inf
+        pairs.range_m[1 - drawn < realism.strongest_alone_fraction, 1] = np.inf
+
+
+def _normals(realism: Realism, sensor_index: int, stream: int, first: int, found: Echoes) -> Array:
+    """Normal numbers for echoes (N, R): one for the strongest and those at its range, one for the others."""
+    from scipy.special import ndtri
+
+    count = len(found.range_m)
+    normal = ndtri(uniforms(realism, sensor_index, stream, 2 * first, 2 * count)).reshape(count, 2)
+    return np.asarray(np.where(found.range_m == found.strongest_m[:, None], normal[:, :1], normal[:, 1:]))

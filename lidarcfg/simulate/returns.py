@@ -25,8 +25,7 @@ from lidarcfg.sensors.firing import FramePattern, Pattern
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.meshes import Mesh
-from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
-from lidarcfg.world.tracer import TRIANGLE
+from lidarcfg.world.tracer import NO_OBSTACLES, TRIANGLE, Obstacles
 
 PHASES = 4  # a power of 2, so that means over phases are exact
 PLACES_PER_PART = 64  # that a thread takes at a time

@@ -18,12 +18,15 @@ from lidarcfg.simulate.echoes import (
     REPORTED,
     Echoes,
     SubRays,
+    add_noise,
+    apply_dropout,
     beam_rays,
+    drop_one_return,
     extinction_per_m,
+    laser_errors_m,
     thin_beam_echoes,
     wide_beam_echoes,
 )
-from lidarcfg.simulate.noise import add_noise, apply_dropout, drop_one_return, laser_errors_m
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene_file import Weather
 from lidarcfg.world.tracer import NO_SHAPES, NO_SLOT, Tracer

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.ground_truth import Objects, load_objects, own_objects
 from lidarcfg.capture.manifest import Input, load_manifest, manifest_path
-from lidarcfg.capture.objects import Objects, load_objects, own_objects
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_arrays
 from lidarcfg.config import kinds

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, rotation
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.categories import DATASET_NAMES
 from lidarcfg.world.motion import MotionPath, build_path
 from lidarcfg.world.scene import Scene
-from lidarcfg.world.scene_file import Box, Cylinder, Ground, Plane, SceneObject, Sphere
+from lidarcfg.world.scene_file import DATASET_NAMES, Box, Cylinder, Ground, Plane, SceneObject, Sphere
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
-"""The keys of a scene's file: its objects, the ground, the weather."""
+"""The keys of a scene's file: its objects and their categories, the ground, the weather."""
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
@@ -16,10 +16,51 @@ from lidarcfg.config.models import (
     validation_error,
 )
 from lidarcfg.sensors.sensor import Byte
-from lidarcfg.world.categories import Category
 from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.mesh_source import MeshSource
 from lidarcfg.world.motion import Motion
+
+Category = Literal[
+    "car", "truck", "bus", "trailer", "motorcycle", "bicycle", "pedestrian", "other_vehicle", "other_object",
+    "ground", "road", "parking", "sidewalk", "building", "fence", "vegetation", "trunk", "terrain", "pole",
+    "traffic_sign",
+]  # fmt: skip
+
+
+class DatasetNames(NamedTuple):
+    """The names of a category in data sets."""
+
+    label: int  # SemanticKITTI's (semantic-kitti.yaml)
+    moving: int  # the same of a dynamic object
+    kitti: str = ""  # the type of a KITTI object label; none: it has no box
+    nuscenes: str = ""  # nuScenes' category; ours where that has none
+
+
+DATASET_NAMES: dict[str | None, DatasetNames] = {
+    None: DatasetNames(0, 0, "Misc", "unknown"),
+    "car": DatasetNames(10, 252, "Car", "vehicle.car"),
+    "truck": DatasetNames(18, 258, "Truck", "vehicle.truck"),
+    "bus": DatasetNames(13, 257, "Misc", "vehicle.bus.rigid"),
+    "trailer": DatasetNames(20, 259, "Misc", "vehicle.trailer"),
+    "motorcycle": DatasetNames(15, 255, "Cyclist", "vehicle.motorcycle"),
+    "bicycle": DatasetNames(11, 253, "Cyclist", "vehicle.bicycle"),
+    "pedestrian": DatasetNames(30, 254, "Pedestrian", "human.pedestrian.adult"),
+    "other_vehicle": DatasetNames(20, 259, "Misc", "vehicle.construction"),
+    "other_object": DatasetNames(99, 99, "Misc", "movable_object.debris"),
+    "ground": DatasetNames(49, 49),
+    "road": DatasetNames(40, 40),
+    "parking": DatasetNames(44, 44),
+    "sidewalk": DatasetNames(48, 48),
+    "building": DatasetNames(50, 50),
+    "fence": DatasetNames(51, 51),
+    "vegetation": DatasetNames(70, 70),
+    "trunk": DatasetNames(71, 71),
+    "terrain": DatasetNames(72, 72),
+    "pole": DatasetNames(80, 80),
+    "traffic_sign": DatasetNames(81, 81),
+}
+OUTLIER = 1  # SemanticKITTI's label of rain and fog
+
 
 GROUND = "ground"
 KINDS = ("boxes", "spheres", "cylinders", "planes", "meshes")  # of objects, of a scene and of a vehicle
@@ -32,7 +73,7 @@ class Ground(Model):
     """An infinite horizontal plane."""
 
     z_m: Metres = 0.0
-    category: Category = "ground"  # what data sets call it: world/categories.py
+    category: Category = "ground"  # what data sets call it: world/scene_file.py
     reflectivity: Byte  # as the sensor is calibrated: 0-100 diffuse in per cent, 101-255 retro-reflectors
 
 

@@ -1,4 +1,4 @@
-"""Traces rays in a scene: what they hit first, and at which range, in float64.
+"""Obstacles, and rays traced in a scene: what they hit first, and at which range, in float64.
 
 Ground, spheres and cylinders are hit in closed form, everything else by its triangles.
 
@@ -12,12 +12,31 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import world
+from lidarcfg.core import visibility, world
 from lidarcfg.geometry import Array
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import MotionPath, build_path
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.scene_file import Cylinder, Sphere
+
+
+class Obstacles(NamedTuple):
+    """What blocks beams, relative to a point."""
+
+    tree: world.Bvh
+    boxes: Array  # (6, B) that hold its shapes, see visibility.boxes_of
+    origin_m: Array  # (3,) the point, in the vehicle frame
+    ground_m: float  # height of the ground in the vehicle frame; inf: none
+
+    @classmethod
+    def of(cls, tree: world.Bvh, origin_m: Array, ground_m: float = np.inf) -> "Obstacles":
+        """The shapes of a hierarchy that is relative to a point (3,), and the ground."""
+        return cls(tree, visibility.boxes_of(tree), origin_m, ground_m)
+
+
+_NO_INDEX = np.empty(0, np.int32)
+NO_OBSTACLES = Obstacles.of(world.Bvh(np.empty((0, 9)), np.empty(0, np.uint8), _NO_INDEX, _NO_INDEX), np.zeros(3))
+
 
 TRIANGLE, SPHERE, CYLINDER = range(3)  # kinds of shapes
 NO_SLOT = -2

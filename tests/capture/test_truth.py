@@ -9,8 +9,7 @@ import pytest
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
-from lidarcfg.capture.ground_truth import TruthFile
-from lidarcfg.capture.objects import load_objects
+from lidarcfg.capture.ground_truth import TruthFile, load_objects
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.geometry import inverse, transform

@@ -17,7 +17,7 @@ from urdf_parser_py.urdf import URDF
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.io.carla import carla
-from lidarcfg.io.frames import ros_name
+from lidarcfg.io.kits.frames import ros_name
 from lidarcfg.io.launch import launch
 from lidarcfg.io.nuscenes import nuscenes
 from lidarcfg.io.urdf import urdf

@@ -10,10 +10,9 @@ from lidarcfg.core import placement as core
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import rotation
 from lidarcfg.placement.cones import Lidar, cone_rows, gaps_at
-from lidarcfg.placement.grid import beam_gaps, check_grid, compare_labels, grid_of
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import connect, segment
+from lidarcfg.placement.subspace import beam_gaps, check_grid, compare_labels, connect, grid_of, segment
 from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 from tests.naive import placement as naive
 

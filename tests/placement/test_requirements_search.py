@@ -12,7 +12,7 @@ from lidarcfg.placement.cheapest import cheapest
 from lidarcfg.placement.combinations import distinct_options, options
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plain_rigs import PLAIN_MAX, plain_points
-from lidarcfg.placement.requirements_evaluator import (
+from lidarcfg.placement.requirements_search import (
     MET_MOST,
     RequirementsEvaluator,
     cost_of,

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.placement.evaluation import changes_m, robustness
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.sensitivity import changes_m, robustness
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.subspace import Links
 from lidarcfg.placement.zones import weights

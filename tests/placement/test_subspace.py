@@ -8,10 +8,9 @@ from scipy import ndimage
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.grid import Labels, beam_gaps, grid_of
 from lidarcfg.placement.metric import Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import connect, segment
+from lidarcfg.placement.subspace import Labels, beam_gaps, connect, grid_of, segment
 from tests.naive import placement as naive
 
 EDGES = (0.8, 0.5, 0.25)

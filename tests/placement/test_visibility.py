@@ -8,11 +8,10 @@ import pytest
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.cones import lidar, rig_lidars
 from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.grid import seen_cuboids
 from lidarcfg.placement.metric import max_vsr, vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import BLIND, segment
+from lidarcfg.placement.subspace import BLIND, seen_cuboids, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world import solids
 from lidarcfg.world.meshes import box_mesh, lathe

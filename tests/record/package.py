@@ -26,17 +26,15 @@ from lidarcfg.placement.analytic import integrate
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.front import front
-from lidarcfg.placement.grid import seen_cuboids
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import with_solver
 from lidarcfg.placement.study_evaluator import StudyEvaluator
-from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.subspace import seen_cuboids, segment
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.returns import returns
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Trajectory, build_path, load_path
-from lidarcfg.world.obstacles import NO_OBSTACLES
-from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.tracer import NO_OBSTACLES, Tracer
 from lidarcfg.world.vehicle import load_vehicle
 
 fill = view.blend_triangles

@@ -7,7 +7,7 @@ from lidarcfg.core import returns as core
 from lidarcfg.requirements.sensors import poses_of, scanners_of
 from lidarcfg.simulate.returns import ClusterRule, Target, count_clusters, returns
 from lidarcfg.world.meshes import join_meshes
-from lidarcfg.world.obstacles import NO_OBSTACLES
+from lidarcfg.world.tracer import NO_OBSTACLES
 from tests.naive import requirements as naive
 from tests.returns_cases import box, mount
 

@@ -8,7 +8,7 @@ import pytest
 
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.posts import STEP_M, PostPlaces, post_visibility
-from lidarcfg.world.obstacles import NO_OBSTACLES
+from lidarcfg.world.tracer import NO_OBSTACLES
 from tests.returns_cases import box, mount
 
 BODY = Footprint.of(box(2.0, 2.0, 1.0))

@@ -21,7 +21,7 @@ from lidarcfg.sensors.scan_pattern import load_scan_pattern
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.beams import passing_beams
 from lidarcfg.simulate.returns import PHASES, Lowest, Target, compiled, count_lowest, returns, scanner
-from lidarcfg.world.obstacles import NO_OBSTACLES
+from lidarcfg.world.tracer import NO_OBSTACLES
 from lidarcfg.world.vehicle import load_vehicle
 from tests.capture_fixtures import no_warning
 from tests.command_line import lidarcfg

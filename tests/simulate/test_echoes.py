@@ -10,13 +10,14 @@ from lidarcfg.simulate.echoes import (
     CANDIDATES,
     REPORTED,
     SubRays,
+    add_noise,
+    apply_dropout,
     beam_rays,
     extinction_per_m,
     thin_beam_echoes,
+    uniforms,
     wide_beam_echoes,
 )
-from lidarcfg.simulate.noise import add_noise, apply_dropout
-from lidarcfg.simulate.random_numbers import uniforms
 from lidarcfg.world.scene_file import Weather
 from tests.capture_fixtures import scene
 

@@ -15,8 +15,7 @@ from lidarcfg.placement.cones import sensor_lidar
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
-from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.noise import add_noise, drop_one_return, laser_errors_m
+from lidarcfg.simulate.echoes import Echoes, add_noise, drop_one_return, laser_errors_m
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import datagrams_of, decoded, mount, recording, scene

@@ -12,7 +12,7 @@ from lidarcfg import core
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.simulate.returns import PHASES, Poses, Target, compiled, returns, scanner
-from lidarcfg.world.obstacles import NO_OBSTACLES
+from lidarcfg.world.tracer import NO_OBSTACLES
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box, lidars, mount, obstacles, revolution, simulated, tracer_of
 

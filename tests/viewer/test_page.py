@@ -15,7 +15,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from lidarcfg.capture.objects import Objects
+from lidarcfg.capture.ground_truth import Objects
 from lidarcfg.clouds.cloud import PointCloud
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.evaluation import evaluate

@@ -11,8 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from lidarcfg.capture.export import in_time_order, simulated_frames
-from lidarcfg.capture.ground_truth import TruthFile
-from lidarcfg.capture.objects import load_objects
+from lidarcfg.capture.ground_truth import TruthFile, load_objects
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.selection import Selection
 from lidarcfg.cli.view import view

@@ -1,4 +1,4 @@
-/// Sight and Obstacles from the NamedTuples of lidarcfg/placement/visibility.py and world/obstacles.py.
+/// Sight and Obstacles from the NamedTuples of lidarcfg/placement/visibility.py and world/tracer.py.
 #pragma once
 
 #include "bind/arguments.h"

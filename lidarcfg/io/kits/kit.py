@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 from lidarcfg.config.models import COORDINATE_MAX_M, NAME_MAX
 from lidarcfg.errors import ConversionError
-from lidarcfg.io.frames import BASE_LINK
-from lidarcfg.io.kits.frames import FrameTree, Pose, listed
+from lidarcfg.io.kits.frames import BASE_LINK, FrameTree, Pose, listed
 from lidarcfg.sensors.rig import MOUNT_NAME, RETURN_MODE, RPM, Mount, Rig, default_host, ports
 from lidarcfg.sensors.sensor import Sensor, catalogue, custom_sensor, load_sensor
 
