@@ -1,8 +1,9 @@
 """The search of a study with requirements: plain rigs first, then the solver; its best rigs are verified on the way.
 
-Only the base grid's places count in trials. So from time to time, and at the end, the best rig that meets all is
-verified with refined places. If it fails there, the worst of these join the set, and the solver starts anew from that
-rig. When this happens depends on the evaluations alone, so a search that is resumed does the same.
+Only the base grid's places count in trials; of a large grid, at first some that are spread over it. So from time to
+time, and at the end, the best rig that meets all is verified, at all places of the grid and at refined ones. Where it
+fails, the worst of these join the set, and the solver starts anew from that rig. When this happens depends on the
+evaluations alone, so a search that is resumed does the same.
 
 The costs of a study's trials that must meet requirements: shortfalls first, then the objective or the least margin.
 
@@ -17,7 +18,7 @@ are.
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -34,11 +35,12 @@ from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import Best, FixedPoint, Search, Trials
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
-from lidarcfg.requirements.objects import ObjectRequirement
+from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement
 from lidarcfg.requirements.places import FINEST_M, FINEST_RAD
 from lidarcfg.requirements.trials import Draws, RigTrials
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
+from lidarcfg.sensors.rig import Mount
 
 MET_SCALE = 2.0**-80
 MET_MOST = 2.0**-60  # no rig that meets all costs as much
@@ -58,7 +60,7 @@ def cost_of(shortfall: float, wanted: float) -> float:
 
 
 def meets(cost: float) -> bool:
-    """Whether a rig of this cost meets all requirements, at the places of the base grid."""
+    """Whether a rig of this cost meets all requirements, at the places that count in trials."""
     return cost < MET_MOST
 
 
@@ -245,9 +247,10 @@ class RequirementsRun(SearchRun):
     def __init__(self, study: Study, log: Log | None = None, plain: bool = True) -> None:
         """With `plain`, the plain rigs are the first trials."""
         assert study.requirements
-        points = plain_points(study) if plain else np.full((1, int(study.free.sum())), 0.5)
-        super().__init__(study, PointsFirst(study, points) if study.free.any() else FixedPoint(), log)
+        self._points = plain_points(study) if plain else np.full((1, int(study.free.sum())), 0.5)
+        super().__init__(study, PointsFirst(study, self._points) if study.free.any() else FixedPoint(), log)
         self._requirements = study.requirements
+        self._verifier = Verifier(study.requirements)
         self._verify_s = 0.0  # the longest time that it took
         self._more_places: dict[int, Array] = {}  # by requirement
         self._restarts = 0
@@ -311,15 +314,22 @@ class RequirementsRun(SearchRun):
     def verdict_on(self, x: Array) -> Verdict:
         """The verdict on the rig at a point (free coordinates,), with refined places."""
         began = time.perf_counter()
-        found = Verifier(self._requirements).verify(self.study.rig(self.study.poses(x[None])[0]).mounts)
+        found = self._verifier.verify(self._mounts(x))
         self._verify_s = max(self._verify_s, time.perf_counter() - began)
         return found
 
+    def _mounts(self, x: Array) -> Sequence[Mount]:
+        """Those of the rig at a point."""
+        return self.study.rig(self.study.poses(x[None])[0]).mounts
+
     def _check(self, evaluator: TrialEvaluator) -> None:
-        """Verify the best rig; if it fails at refined places, these join and the solver starts anew from it."""
+        """Verify the best rig; if it fails at places that do not count in trials, these join and the search goes on."""
         assert isinstance(evaluator, RequirementsEvaluator)
         if self._is_best_verified:
             self._schedule(self._interval)
+            return
+        if self._add_missed():
+            self._restart(evaluator, self._points)
             return
         found = self.verdict_on(self.best_x)
         if found.passed:
@@ -327,19 +337,36 @@ class RequirementsRun(SearchRun):
             self._schedule(2 * self._interval)
             return
         self._schedule(CHECK_EVERY)
-        if not self._add_places(found):
-            return
+        if self._add_places(found):
+            self._restart(evaluator, self._points[:0])
+
+    def _restart(self, evaluator: RequirementsEvaluator, points: Array) -> None:
+        """Have the places that were added count, and the solver start anew from the best rigs, or from some points."""
         evaluator.add_places(self._more_places)
         self._restarts += 1
         self._cycles_before = self.cycles
-        points = [self.best_x] + ([self._verified.x] if self._verified else [])
-        self._search = PointsFirst(self.study, np.array(points), self._restarts)
+        known = [self.best_x] + ([self._verified.x] if self._verified else [])
+        self._search = PointsFirst(self.study, np.concatenate([known, points]), self._restarts)
         poses = self.study.poses(self.best_x[None])
         self.best_cost = float(evaluator.costs(poses, np.zeros(1, np.int64), poses, np.full(1, np.inf))[0])
 
     def _schedule(self, interval: int) -> None:
         self._interval = interval
         self._next_check = self.evaluations + interval
+
+    def _add_missed(self) -> bool:
+        """Have places of the base grid at which the best rig fails count in trials. Returns whether there are any."""
+        mounts = self._mounts(self.best_x)
+        added = False
+        for number, judge in enumerate(self._verifier.judges):
+            if isinstance(judge, ObjectJudge) and len(places := judge.missed(mounts)):
+                self._add(number, places)
+                added = True
+        return added
+
+    def _add(self, number: int, places: Array) -> None:
+        known = self._more_places.get(number)
+        self._more_places[number] = places if known is None else np.concatenate([known, places])
 
     def _add_places(self, found: Verdict) -> bool:
         """Have the worst places at which requirements fail count in trials, with those around. Returns if any are."""
@@ -349,9 +376,7 @@ class RequirementsRun(SearchRun):
                 continue
             heading = math.radians(one.worst.heading_deg or 0.0)
             place = np.array([[one.worst.x_m, one.worst.y_m, item.stand.ground_m, heading]])
-            around = np.concatenate([place, item.stand.around(place, FINEST_M, FINEST_RAD, set())])
-            known = self._more_places.get(number)
-            self._more_places[number] = around if known is None else np.concatenate([known, around])
+            self._add(number, np.concatenate([place, item.stand.around(place, FINEST_M, FINEST_RAD, set())]))
             added = True
         return added
 
@@ -364,7 +389,7 @@ class RequirementsRun(SearchRun):
             verdict = self.verdict_on(x) if math.isfinite(self.best_cost) else Verdict(())
         remarks = []
         if meets(self.best_cost) and not verdict.passed:
-            what = "the best rig met all requirements at the base grid's places, but not at those between"
+            what = "the best rig met all requirements at the places that count in a search, but not at all others"
             if self._verified:
                 what += "; this one is the best that was verified"
             else:
@@ -377,7 +402,7 @@ class RequirementsRun(SearchRun):
             self.best_cost = self._verified.cost
         if self._restarts:
             places = sum(len(one) for one in self._more_places.values())
-            remarks.append(f"{places} places between those of the base grid were added to it, where rigs failed")
+            remarks.append(f"{places} places joined those that count in a search, as rigs failed there")
         found = super().placement(interrupted, _with_reasons(self.study, verdict))
         poses = self.study.poses(x[None])[0]
         if self.study.seeks_margin:

@@ -32,6 +32,9 @@ ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then
 CAP_MAX = 1 << 23
+TRIAL_PLACES = 1000  # of the base grid, at which the trials of a search are judged at first
+TRIAL_GROWTH = 10  # of that number, until all are looked at
+MISSED_MOST = 256  # places of the base grid that are found at once
 JOINT_MAX = 256  # combinations of phases that are all tried for clusters
 # Above the ground a cluster has a point at least so high: autonomous_emergency_braking.param.yaml of autoware_launch at
 # 025908d.
@@ -52,6 +55,11 @@ class ObjectRequirement:
     at_least: float = 1.0  # fraction of the base grid's positions, each at its worst heading
     lost: int = 0  # sensors that fail
     cluster_m: float | None = None  # they are of one cluster with this tolerance
+
+    @property
+    def trial_places(self) -> Array:
+        """(P, 4) the places at which the trials of a search are judged at first; of a fraction, all."""
+        return self.stand.thinned(TRIAL_PLACES) if self.at_least == 1 else self.stand.base
 
     @property
     def wanted(self) -> int:
@@ -207,6 +215,28 @@ class ObjectJudge:
                 least.append(self.measured_at(lowest, misplaced(mounts, errors), self.first_cap).values.min())
             off[mount, axis] = min(least)
         return MountMargins(item.returns, np.array(without, np.int64), off, int(base.values.min()))
+
+    def missed(self, mounts: Sequence[Mount]) -> Array:
+        """(n, 4) places of the base grid at which a rig fails that passes where trials are judged, the worst first.
+
+        More and more of them are looked at, until some are found.
+        """
+        stand = self.item.stand
+        looked_at = len(self.item.trial_places)
+        most = TRIAL_PLACES
+        while looked_at < len(stand.base):
+            most *= TRIAL_GROWTH
+            places = stand.thinned(most)
+            looked_at = len(places)
+            if looked_at < len(stand.base):
+                values = self.measured_at(places, mounts, self.first_cap).values
+            else:
+                values = self.measured(mounts, self.first_cap).values
+            short = values < self.item.returns
+            if short.any():
+                order = np.lexsort((stand.spread(places[short]), values[short]))
+                return np.ascontiguousarray(places[short][order[:MISSED_MOST]])
+        return np.empty((0, 4))
 
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""

@@ -23,6 +23,8 @@ LEAST_STEP_M = 0.02  # in a zone that holds no place of a coarser grid
 PLACES_MAX = 5_000_000
 PLACE_BYTES = 300  # of memory, while they are found
 KEYS_PER_UNIT = 1e6  # metres and radians, by which places are told apart
+# Multiples of the spacing along x and y whose sums, modulo 1, are spread evenly: the R2 sequence (Roberts 2018).
+SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 FIT_M = 1e-9  # by which an object may reach over the zone's side, for rounding
 
 Flags = NDArray[np.bool_]
@@ -125,6 +127,18 @@ class Stand:
             if far_m <= LEAST_STEP_M:
                 raise ConfigError("the object fits nowhere in this zone beside the body; widen the zone")
             near_m, far_m = max(near_m / 2, LEAST_STEP_M), max(far_m / 2, LEAST_STEP_M)
+
+    def thinned(self, most: int) -> Array:
+        """(P, 4) the base grid; of a greater one about `most` places, spread evenly, each position at all headings.
+
+        Those of a lower `most` are among them.
+        """
+        share = most / len(self.base)
+        return self.base if share >= 1 else np.ascontiguousarray(self.base[self.spread(self.base) < share])
+
+    def spread(self, places: Array) -> Array:
+        """(P,) from 0 to 1: the first places (P, 4) by this order are spread evenly over a grid."""
+        return np.asarray((places[:, :2] @ SPREAD / self.near_step_m) % 1)
 
     @cached_property
     def edge(self) -> Array:

@@ -1,4 +1,4 @@
-"""The shortfalls and margins of trial after trial of a search, by places of the base grid alone.
+"""The shortfalls and margins of trial after trial of a search, by places of the base grid alone, or by some of them.
 
 Counts are kept per sensor and pose, so that of a trial only the sensors that moved are cast, and those only at places
 where the others do not settle it. Places where earlier trials missed the most come first, and a trial ends as soon as
@@ -67,18 +67,18 @@ class Draws:
 
 
 class ObjectTrials:
-    """How much of an object's returns rigs miss at the places of its base grid."""
+    """How much of an object's returns rigs miss at the places where trials are judged."""
 
     def __init__(
         self, number: int, item: ObjectRequirement, obstacles: Obstacles, sensors: int, more_places: Array | None
     ) -> None:
-        """`more_places` (n, 4) count like those of the base grid."""
+        """`more_places` (n, 4) count like those of the requirement's own."""
         self.number = number
         self._item = item
         self._obstacles = obstacles
         self._sensors = sensors
-        base = item.stand.base
-        self.places = base if more_places is None else np.ascontiguousarray(np.concatenate([base, more_places]))
+        own = item.trial_places
+        self.places = own if more_places is None else np.ascontiguousarray(np.concatenate([own, more_places]))
         self.shares(number, len(self.places), np.arange(len(self.places)))
         self._cases = cases(sensors, item.lost) if item.cluster_m is None else [list(range(sensors))]
         self._position, self._best = self._positions()
@@ -372,7 +372,7 @@ def _post_shape(item: PostRequirement) -> core.returns.TargetShape:
 class RigTrials:
     """Judges rigs of the same sensors at many poses; threads may share it between `rigs` and `learn`.
 
-    `more_places`: of requirements by number, places (n, 4) that count like those of the base grid.
+    `more_places`: of requirements by number, places (n, 4) that count like their own.
     """
 
     def __init__(
