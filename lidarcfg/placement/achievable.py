@@ -1,9 +1,11 @@
-"""Requirements that no rig within a study's bounds can meet: beyond all ranges, out of sight, or too dear.
+"""Requirements that no rig within a study's bounds can meet: out of range or sight, of too many returns, or too dear.
 
 It is said only of what is certain, as far as places go that were tried: the bounds every 0.25 m, and 26 points on the
 object's bounding box. What is not found here may be out of reach all the same.
 """
 
+import math
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -11,10 +13,15 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import world
 from lidarcfg.geometry import Array
+from lidarcfg.packets.families import pattern
+from lidarcfg.placement.slots import Slot
 from lidarcfg.placement.study import Study
-from lidarcfg.requirements.objects import ObjectRequirement
+from lidarcfg.requirements.objects import ObjectRequirement, reached
 from lidarcfg.requirements.prices import PriceRequirement
 from lidarcfg.requirements.sight import places_within
+from lidarcfg.sensors.firing import CycleBeams
+from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.simulate.returns import PHASES
 
 LOOKED_AT = 48  # places of an object, the nearest to the body, that are looked at from everywhere
 FROM = 512  # places of sensors, from which they are
@@ -29,8 +36,10 @@ def unachievable(study: Study) -> dict[str, str]:
         why = None
         if isinstance(item, PriceRequirement) and (least := cheapest_price(study, item)) > item.at_most:
             why = f"the cheapest rig costs {least:,.6g}"
-        elif isinstance(item, ObjectRequirement) and item.at_least == 1:
-            why = _beyond_range(study, item) or _out_of_sight(study, item)
+        elif isinstance(item, ObjectRequirement):
+            if item.at_least == 1:
+                why = _beyond_range(study, item) or _out_of_sight(study, item)
+            why = why or _too_few_beams(study, item)
         if why:
             found[item.name] = why
     return found
@@ -49,13 +58,19 @@ def cheapest_price(study: Study, item: PriceRequirement) -> float:
     return sum(least) or min(some)
 
 
+def _sensors(slot: Slot) -> list[Sensor]:
+    """Those that it may be of."""
+    return [choice.sensor for choice in slot.choices if choice] or [slot.sensor]
+
+
 def _range_m(study: Study) -> float:
     """The greatest range of any sensor that may be chosen."""
     found = []
     for slot in study.slots:
-        sensors = [choice.sensor for choice in slot.choices if choice] or [slot.sensor]
         ranges = (
-            [slot.range_m] if slot.range_m else [(one.range.min_m, one.range.max_m) for one in sensors if one.range]
+            [slot.range_m]
+            if slot.range_m
+            else [(one.range.min_m, one.range.max_m) for one in _sensors(slot) if one.range]
         )
         found += [most for _, most in ranges]
     return max(found, default=np.inf)
@@ -63,22 +78,71 @@ def _range_m(study: Study) -> float:
 
 def _beyond_range(study: Study, item: ObjectRequirement) -> str | None:
     """Whether some place is farther from all bounds than any sensor's range."""
+    at = item.stand.base[:, :3]
+    distance_m = _from_bounds_m(study, at)
+    low, high = item.target.box_m
+    radius_m = float(np.linalg.norm(np.maximum(abs(low), abs(high))))
+    far = int(distance_m.argmax())
+    if distance_m[far] - radius_m <= (most_m := _range_m(study)):
+        return None
+    x, y = at[far, :2]
+    far_m = f"({x:.2f}, {y:.2f}) is {distance_m[far]:.1f} m from the bounds of all sensors"
+    return f"{far_m}, and no range exceeds {most_m:g} m"
+
+
+def _from_bounds_m(study: Study, at_m: Array) -> Array:
+    """(N,) the distances of points (N, 3) from the nearest bounds of any sensor; 0 where these are not known."""
     assert study.requirements
     bounds = study.requirements.site.bounds
     if not bounds:
-        return None
+        return np.zeros(len(at_m))
+    each = [np.linalg.norm(at_m - np.clip(at_m, low, high), axis=1) for low, high in bounds]
+    return np.asarray(np.min(each, axis=0))
+
+
+def _too_few_beams(study: Study, item: ObjectRequirement) -> str | None:
+    """Whether at a place that counts fewer beams than are demanded can hit the ball around the object's bounding box.
+
+    With a fraction of positions, those nearest to the bounds count.
+    """
     low, high = item.target.box_m
-    radius_m = float(np.linalg.norm(np.maximum(abs(low), abs(high))))
-    at = item.stand.base[:, :3]
-    nearest = np.full(len(at), np.inf)
-    for least, most in bounds:
-        nearest = np.minimum(nearest, np.linalg.norm(at - np.clip(at, least, most), axis=1))
-    far = int(nearest.argmax())
-    if nearest[far] - radius_m <= (most_m := _range_m(study)):
+    radius_m = 0.5 * float(np.linalg.norm(high - low))
+    at = np.unique(item.stand.base[:, :3], axis=0)
+    distance_m = np.sort(_from_bounds_m(study, at + 0.5 * (low + high)))[math.ceil(item.at_least * len(at) - 1e-9) - 1]
+    most = []
+    for slot, mount in zip(study.slots, study.rig(study.lower).mounts, strict=True):
+        beams = [pattern(replace(mount, sensor=sensor)).beams(sensor, PHASES) for sensor in _sensors(slot)]
+        most.append(max(most_returns(one, radius_m, distance_m) for one in beams))
+    returns = int(reached(np.array([most], np.int32), item.lost, item.sensors)[0])
+    if returns >= item.returns:
         return None
-    x, y = at[far, :2]
-    far_m = f"({x:.2f}, {y:.2f}) is {nearest[far]:.1f} m from the bounds of all sensors"
-    return f"{far_m}, and no range exceeds {most_m:g} m"
+    who = "the sensors together get" if item.sensors is None else f"{item.sensors} of the sensors get, each alone,"
+    return f"{who} at most {returns:,} returns from {distance_m:.1f} m away"
+
+
+def most_returns(beams: CycleBeams, radius_m: float, distance_m: float) -> int:
+    """The most beams of a revolution, or a frame, that can hit a ball, however the sensor is turned.
+
+    The ball's middle is at a distance. The beams that hit it, moved to the sensor's origin, are within a cone. So their
+    elevations differ by its whole angle at most; and the azimuths at an elevation by twice asin(sin of half the angle
+    / cos of the elevation), as in a spherical triangle with a right angle where the cone's middle is.
+    """
+    radius_m += float(np.linalg.norm(beams.start_m, axis=1).max())
+    half_rad = math.asin(radius_m / distance_m) if radius_m < distance_m else math.pi / 2
+    spacing_rad = beams.step_rad * beams.phases
+    most = 0
+    for phase in range(beams.phases):
+        heads_rad, firings = beams.of_phase(phase)
+        elevation_rad = np.sort(beams.elevation_rad[firings])
+        sine = math.sin(half_rad) / np.maximum(np.cos(elevation_rad), 1e-12)
+        number = np.full(len(firings), len(heads_rad))
+        narrow = (sine < 1) & (spacing_rad > 0)
+        within = 2 * np.arcsin(sine[narrow]) / max(spacing_rad, 1e-12)
+        number[narrow] = np.minimum(within + 2, len(heads_rad))  # one more where a revolution ends
+        before = np.concatenate([[0], np.cumsum(number)])
+        last = np.searchsorted(elevation_rad, elevation_rad + 2 * half_rad + 1e-9, side="right")
+        most = max(most, int((before[last] - before[:-1]).max()))
+    return most
 
 
 def _out_of_sight(study: Study, item: ObjectRequirement) -> str | None:

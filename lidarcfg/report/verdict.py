@@ -93,10 +93,14 @@ def phases(one: RequirementVerdict) -> str:
 
 def quantity(value: float, unit: str) -> str:
     """A figure with its unit."""
+    return f"{figure(value, unit)} {unit}".rstrip() if math.isfinite(value) else figure(value, unit)
+
+
+def figure(value: float, unit: str) -> str:
+    """A figure to the digits that matter in its unit."""
     if not math.isfinite(value):
         return "never" if value > 0 else "–"
-    number = f"{value:,.0f}" if unit in ("returns", "sensors") else f"{value:,.2f}" if unit else f"{value:,.6g}"
-    return f"{number} {unit}".rstrip()
+    return f"{value:,.0f}" if unit in ("returns", "sensors") else f"{value:,.2f}" if unit else f"{value:,.6g}"
 
 
 def signed(value: float, unit: str) -> str:
@@ -157,7 +161,7 @@ def junit(found: Verdict, name: str) -> str:
     for one in found.requirements:
         said = f"demanded {'at most' if one.at_most else 'at least'} {quantity(one.demanded, one.unit)}"
         said += f", reached {quantity(one.reached, one.unit)}"
-        details = [said, worst_place(one), f"lost: {lost_sensors(one)}" if one.lost else ""]
+        details = [said, worst_place(one), f"lost: {lost}" if (lost := lost_sensors(one)) else ""]
         details += [one.sampling.text] if one.sampling else []
         text = escape(xml_text("\n".join(line for line in details if line)))
         lines.append(f'    <testcase classname="requirements" name={_quoted(one.name)}>')

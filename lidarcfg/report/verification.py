@@ -1,8 +1,8 @@
 """The verdict on a rig as a page of its own, and as the beginning of other reports."""
 
+import math
 from dataclasses import dataclass
 
-import numpy as np
 from markupsafe import Markup
 
 from lidarcfg import __version__
@@ -20,6 +20,7 @@ from lidarcfg.report.verdict import (
     compared,
     conclusion,
     demanded,
+    figure,
     lost_sensors,
     phases,
     quantity,
@@ -27,8 +28,8 @@ from lidarcfg.report.verdict import (
     signed,
     worst_place,
 )
-from lidarcfg.requirements.evidence import OFF_M, OFF_RAD, Verification
-from lidarcfg.requirements.objects import MountMargins
+from lidarcfg.requirements.evidence import Verification
+from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 
@@ -42,7 +43,7 @@ class RequirementPart:
     map: Markup | None
     map_caption: str
     views: Markup | None
-    margins: Table | None
+    margins: list[Table]
     frames: Markup | None
 
 
@@ -66,7 +67,7 @@ def verdict_part(found: Verification, rig: Rig, against: Verdict | None = None) 
             map=draw_map(one, rig, number),
             map_caption=map_caption(one) if one.has_map else "",
             views=draw_views(one, number),
-            margins=margins_table(one.margins, rig) if one.margins else None,
+            margins=[margins_table(margins, rig) for margins in one.margins],
             frames=draw_frames(one, number),
         )
         for number, one in enumerate(found.evidence, 1)
@@ -77,6 +78,7 @@ def verdict_part(found: Verification, rig: Rig, against: Verdict | None = None) 
 
 def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
     """A row for each requirement."""
+    losses = [lost_sensors(one) for one in found.requirements]
     rows = []
     for n, one in enumerate(found.requirements):
         rows.append(
@@ -89,7 +91,7 @@ def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
                 *(compared(one, against.requirements[n]) if against else []),
                 worst_place(one),
                 phases(one),
-                lost_sensors(one),
+                *([losses[n]] if any(losses) else []),
             ]
         )
     beside = ("margin of the other", "change") if against else ()
@@ -102,30 +104,31 @@ def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
         *beside,
         "worst place",
         "phases there",
-        "sensors lost there; whose loss breaks it",
+        *(["sensors lost there; whose loss breaks it"] if any(losses) else []),
     )
-    last = len(head) - 1
+    words = head.index("worst place")
     caption = "Phases are quarters of the step between two firings, by sensor, where the fewest beams return"
-    return Table(caption, head, rows, texts=(1, last - 2, last - 1, last))
+    return Table(caption, head, rows, texts=(1, *range(words, len(head))))
 
 
 def margins_table(found: MountMargins, rig: Rig) -> Table:
-    """The returns in the worst place with each sensor lost, and with each coordinate of its mount off."""
+    """What is reached with each sensor lost, and with each coordinate of its mount off."""
     rows = []
     for mount, without, off in zip(rig.mounts, found.without.tolist(), found.off.tolist(), strict=True):
-        cells = [_judged(value, found.demanded) for value in (without, *off)]
-        rows.append([truncate(mount.name), *(cells if len(rig.mounts) > 1 else ["–", *cells[1:]])])
-    units = f"{100 * OFF_M:g} cm", f"{np.degrees(OFF_RAD):g}°"
+        rows.append([truncate(mount.name), *(_margin(value, found) for value in (without, *off))])
+    units = f"{100 * OFF_M:g} cm", f"{math.degrees(OFF_RAD):g}°"
     head = ("mount", "lost", *(f"{name} {units[axis > 2]} off" for axis, name in enumerate(COORDINATES)))
     caption = (
-        f"Returns in the worst place, of {found.demanded} demanded and {found.whole} with nothing wrong: with a sensor "
-        "lost, over the base grid; with one coordinate of its mount off, either way, over the grid's lowest places"
+        f"{found.what}, in the place that decides: at {'most' if found.at_most else 'least'} "
+        f"{figure(found.demanded, found.unit)} demanded, {_margin(found.whole, found)} with all mounts in place; "
+        f"with a sensor lost, {found.where_lost}; with one coordinate of its mount off, either way, {found.where_off}"
     )
     return Table(caption, head, rows)
 
 
-def _judged(value: int, demanded: int) -> str:
-    return FailCell(f"{value}") if value < demanded else f"{value}"
+def _margin(value: float, found: MountMargins) -> str:
+    text = f"{'≥ ' if value >= found.cap else ''}{figure(value, found.unit)}"
+    return text if found.meets(value) else FailCell(text)
 
 
 def sentence(one: RequirementVerdict) -> str:

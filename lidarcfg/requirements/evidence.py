@@ -8,7 +8,8 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.detection import ScenarioResult
 from lidarcfg.requirements.footprint import Footprint
-from lidarcfg.requirements.objects import CAP_MAX, MountMargins, ObjectJudge, ObjectRequirement, PlaceCounts
+from lidarcfg.requirements.margins import MountMargins
+from lidarcfg.requirements.objects import CAP_MAX, ObjectJudge, ObjectRequirement, PlaceCounts
 from lidarcfg.requirements.places import Zone
 from lidarcfg.requirements.posts import PostRequirement, PostVisibility
 from lidarcfg.requirements.scenarios import ScenarioRequirement
@@ -19,9 +20,6 @@ from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import OnProgress, Verifier, silent
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.beams import PassingBeams, passing_beams
-
-OFF_M = 0.05  # of one coordinate of a mount
-OFF_RAD = np.radians(0.5)
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class Evidence:
     hidden: HiddenColumns | None = None
     scenario: ScenarioResult | None = None
     views: tuple[SensorView, ...] = ()
-    margins: MountMargins | None = None
+    margins: tuple[MountMargins, ...] = ()  # of each of its limits
 
     @property
     def has_map(self) -> bool:
@@ -90,14 +88,21 @@ def evidence(verifier: Verifier, mounts: Sequence[Mount], found: Verdict) -> tup
                     zone=item.stand.zone,
                     counts=judge.counts(mounts),
                     views=_views(verifier, item, mounts, one),
-                    margins=judge.margins(mounts, OFF_M, OFF_RAD),
+                    margins=(judge.margins(mounts),),
                 )
             )
         elif isinstance(judge, PostRequirement):
-            views = _views(verifier, judge, mounts, one)
-            out.append(Evidence(one, body, posts=judge.visibility(mounts), views=views))
+            out.append(
+                Evidence(
+                    one,
+                    body,
+                    posts=judge.visibility(mounts),
+                    views=_views(verifier, judge, mounts, one),
+                    margins=judge.margins(mounts),
+                )
+            )
         elif isinstance(judge, ShadowRequirement):
-            out.append(Evidence(one, body, hidden=_hidden(judge, mounts)))
+            out.append(Evidence(one, body, hidden=_hidden(judge, mounts), margins=(judge.margins(mounts),)))
         elif isinstance(judge, ScenarioRequirement):
             out.append(Evidence(one, body, scenario=judge.check(mounts).result))
         else:

@@ -1,14 +1,15 @@
 """Whether an object gets its returns wherever it stands in a zone, also with sensors lost or mounts a little off."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.places import FINEST_M, FINEST_RAD, Stand
 from lidarcfg.requirements.robustness import Robust
 from lidarcfg.requirements.sensors import (
@@ -99,11 +100,6 @@ class Measured:
         gone = np.argsort(-counts, kind="stable")[: item.lost]
         return sorted(gone[counts[gone] > 0].tolist())  # to lose one that sees nothing changes nothing
 
-    def some(self, which: NDArray[np.intp]) -> "Measured":
-        """Those at some of the places."""
-        lowest = Lowest(self.lowest.counts[which], self.lowest.phases[which])
-        return Measured(self.places[which], self.values[which], lowest)
-
 
 @dataclass(frozen=True)
 class Tried:
@@ -124,16 +120,6 @@ class PlaceCounts:
     side_m: Array  # (N,) of squares that cover the zone; the largest come first, as they lie below the others
     demanded: int
     cap: int
-
-
-@dataclass(frozen=True)
-class MountMargins:
-    """What an object reaches with one sensor lost, and with one coordinate of one mount off."""
-
-    demanded: int
-    without: Counts  # (mounts,) at the base grid, in the place that decides
-    off: Counts  # (mounts, 6) the least, off either way, at the base grid's lowest places
-    whole: int  # at these, with no mount off
 
 
 def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts:
@@ -194,27 +180,33 @@ class ObjectJudge:
         order = np.argsort(-side_m, kind="stable")
         return PlaceCounts(at[order], values[order], side_m[order], self.item.returns, self.first_cap)
 
-    def margins(self, mounts: Sequence[Mount], off_m: float, off_rad: float) -> MountMargins | None:
-        """What single failures and mounts that are off by so much leave; None for clusters, which would take long."""
+    def margins(self, mounts: Sequence[Mount]) -> MountMargins:
+        """What single failures and mounts that are a little off leave, in the place that decides."""
         item = self.item
-        if item.cluster_m is not None:
-            return None
-        base = self.measured(mounts, self.first_cap)
-        counts = base.lowest.counts
-        without = [
-            self._number(reached(np.delete(counts, n, axis=1), 0, item.sensors)).min() if len(mounts) > 1 else 0
-            for n in range(len(mounts))
-        ]
-        lowest = np.ascontiguousarray(base.places[_lowest(base.values)])
-        off = np.empty((len(mounts), 6), np.int64)
-        for mount, axis in product(range(len(mounts)), range(6)):
-            least = []
-            for way in (-1, 1):
-                errors = np.zeros((len(mounts), 6))
-                errors[mount, axis] = way * (off_m if axis < 3 else off_rad)
-                least.append(self.measured_at(lowest, misplaced(mounts, errors), self.first_cap).values.min())
-            off[mount, axis] = min(least)
-        return MountMargins(item.returns, np.array(without, np.int64), off, int(base.values.min()))
+        cap = self.first_cap
+        base = self.measured(mounts, cap)
+        without = np.full(len(mounts), np.nan)
+        if len(mounts) > 1:
+            without[:] = [self._number(values).min() for values in self._without_each(base, mounts, cap)]
+        lowest = np.ascontiguousarray(base.places[self._deciding(base.places, base.values)])
+        off = np.full((len(mounts), 6), np.inf)
+        for n, axis, moved in with_one_off(mounts):
+            off[n, axis] = min(off[n, axis], self.measured_at(lowest, moved, cap).values.min())
+        clusters = item.cluster_m is not None
+        return MountMargins(
+            what="Returns of one cluster" if clusters else "Returns",
+            unit="returns",
+            demanded=item.returns,
+            at_most=False,
+            whole=int(self._number(base.values).min()),
+            without=without,
+            off=off,
+            where_lost="where the base grid's places then have the fewest returns"
+            if clusters
+            else "over the base grid",
+            where_off="over the grid's lowest places",
+            cap=cap,
+        )
 
     def missed(self, mounts: Sequence[Mount]) -> Array:
         """(n, 4) places of the base grid at which a rig fails that passes where trials are judged, the worst first.
@@ -249,7 +241,8 @@ class ObjectJudge:
         tried = self._tried(mounts, base)
         at, value = self._worst(tried)
         counted = tried.base if item.at_least < 1 else tried.every
-        found, notes = mounts, []
+        found = mounts
+        notes = []
         if self._robust:
             draws = self._drawn(mounts, tried, cap, on_places)
             number = sorted(range(len(draws)), key=lambda n: -draws[n][2])[self._robust.drawn - 1 - self._robust.spare]
@@ -343,12 +336,24 @@ class ObjectJudge:
         what = f"clusters with each sensor in the phase of its fewest returns, as there are {count:,} combinations"
         return f"{what} of phases; others may give smaller ones"
 
+    def _best(self, positions: int) -> int:
+        """How many of so many positions count: the fraction that is asked for."""
+        return math.ceil(self.item.at_least * positions - 1e-9)
+
     def _number(self, values: Counts) -> Counts:
         """The values of the best positions, as many as the fraction asks for; all places without one."""
         if self.item.at_least == 1:
             return values
         by_position = np.sort(positions(self.places, values)[1])[::-1]
-        return by_position[: math.ceil(self.item.at_least * len(by_position) - 1e-9)]
+        return by_position[: self._best(len(by_position))]
+
+    def _deciding(self, places: Array, values: Counts) -> NDArray[np.intp]:
+        """The numbers of the lowest values at places (P, 4) among those that count, in no order."""
+        if self.item.at_least == 1:
+            return _lowest(values)
+        worst, by_position = positions(places, values)
+        best = np.argsort(-by_position, kind="stable")[: self._best(len(by_position))]
+        return worst[best[_lowest(by_position[best])]]
 
     def _worst(self, tried: Tried) -> tuple[int, int]:
         """The place that decides, and what is reached there: the lowest, or that of the fraction asked for."""
@@ -404,23 +409,36 @@ class ObjectJudge:
 
     def _breaking(self, tried: Tried, mounts: Sequence[Mount]) -> tuple[str, ...]:
         """The sensors of which each alone, if it fails, breaks the requirement."""
+        if len(mounts) == 1:
+            return ()
         item = self.item
         counted = tried.base if item.at_least < 1 else tried.every
-        lowest = counted.some(_lowest(counted.values))
-        out = []
-        for n, mount in enumerate(mounts) if len(mounts) > 1 else ():
-            kept = [other for other in range(len(mounts)) if other != n]
+        each = self._without_each(counted, mounts, item.returns)
+        return tuple(
+            mount.name
+            for mount, values in zip(mounts, each, strict=True)
+            if (self._number(values) < item.returns).any()
+        )
+
+    def _without_each(self, measured: Measured, mounts: Sequence[Mount], cap: int) -> Iterator[Counts]:
+        """(P,) what is reached at measured places without each of the mounts in turn, exact below the cap.
+
+        Clusters, which take long to find, are so at the lowest places alone; elsewhere they are at most this.
+        """
+        item = self.item
+        counts = measured.lowest.counts
+        if item.cluster_m is not None:
+            counts = lowest_at(measured.places, item.target, mounts, self._obstacles, cap, item.wanted).counts
+        for n in range(len(mounts)):
+            values = reached(np.delete(counts, n, axis=1), 0, item.sensors)
             if item.cluster_m is not None:
-                left = [mounts[other] for other in kept]
-                values = self._clusters(lowest.places, left, max(item.returns, 1), lost=0).values
-                broken = bool((values < item.returns).any())
-            else:
-                broken = bool(
-                    (self._number(reached(counted.lowest.counts[:, kept], 0, item.sensors)) < item.returns).any()
-                )
-            if broken:
-                out.append(mount.name)
-        return tuple(out)
+                if not item.lost:
+                    values = np.minimum(values, measured.values)  # as fewer sensors make no larger clusters
+                lowest = self._deciding(measured.places, values)
+                left = [mount for other, mount in enumerate(mounts) if other != n]
+                places = np.ascontiguousarray(measured.places[lowest])
+                values[lowest] = self._clusters(places, left, cap, lost=0).values
+            yield values
 
     def _tried(self, mounts: Sequence[Mount], base: Measured) -> Tried:
         """The base grid's counts, and those at places between, around the lowest, down to the finest spacing.

@@ -7,7 +7,7 @@ every STEP_M from the outline on. Distances are those of the post's middle from 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.places import Zone
 from lidarcfg.requirements.robustness import Robust
 from lidarcfg.requirements.sensors import OnPlaces, lowest_at, misplaced, no_progress
@@ -33,6 +34,7 @@ RUN_M = 0.5  # without a gap: from its beginning on, a post counts as seen
 LIMIT_M = 10.0  # from the body: as far out gaps count
 
 Flags = NDArray[np.bool_]
+Counts = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -209,9 +211,13 @@ class PostRequirement:
 
     def judged_by(self, seen: Flags) -> RequirementVerdict:
         """The verdict on a rig that sees some of the posts that count (P,)."""
+        return self._judged_by(self._visibility(seen))
+
+    def _visibility(self, seen: Flags) -> PostVisibility:
+        """Where the post is seen, by flags of those that count (P,)."""
         flags = np.zeros(self.posts.counts.shape, np.bool_)
         flags[self.posts.counts] = seen
-        return self._judged_by(PostVisibility(self.height_m, self.limit_m, self.posts, flags))
+        return PostVisibility(self.height_m, self.limit_m, self.posts, flags)
 
     def visibility(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> PostVisibility:
         """Where a rig sees the post, also with sensors lost."""
@@ -224,27 +230,80 @@ class PostRequirement:
 
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
-        found = [self._judged(mounts, on_places)]
+        counts = self._counts(mounts, max(self.lost, 1) + 1)
+        on_places(len(counts))
+        found = [self.judged_by((counts > 0).sum(axis=1) > self.lost)]
         if self.robust and self.robust.drawn:
-            draws = [self._judged(misplaced(mounts, one), on_places) for one in self.robust.errors(len(mounts))]
+            errors = self.robust.errors(len(mounts))
+            draws = [self._judged_by(self.visibility(misplaced(mounts, one), on_places)) for one in errors]
             draws.sort(key=lambda one: one.relative_margin, reverse=True)
             found.append(draws[self.robust.drawn - 1 - self.robust.spare])
-        return min(found, key=lambda one: one.relative_margin)
+        worst = min(found, key=lambda one: one.relative_margin)
+        return replace(worst, breaking=self._breaking(counts, mounts))
 
-    def _judged(self, mounts: Sequence[Mount], on_places: OnPlaces) -> RequirementVerdict:
-        return self._judged_by(self.visibility(mounts, on_places))
+    def _counts(self, mounts: Sequence[Mount], wanted: int) -> Counts:
+        """(P, sensors) whether each sensor gets a return from the posts that count; below 0: `wanted` others do."""
+        return lowest_at(self.posts.counted, self.target, mounts, self.obstacles, 1, wanted).counts
+
+    def _breaking(self, counts: Counts, mounts: Sequence[Mount]) -> tuple[str, ...]:
+        """The sensors of which each alone, if it fails, breaks the requirement."""
+        if len(mounts) == 1:
+            return ()
+        number = (counts > 0).sum(axis=1)
+        return tuple(
+            mount.name
+            for mount, column in zip(mounts, counts.T, strict=True)
+            if not self.judged_by(number > (column > 0)).passed
+        )
+
+    def margins(self, mounts: Sequence[Mount]) -> tuple[MountMargins, ...]:
+        """What single failures and mounts that are a little off leave, by each of the two limits."""
+        sees = self._counts(mounts, len(mounts) + 1) > 0
+        number = sees.sum(axis=1)
+        whole = self._farthest_m(number > self.lost)
+        without = np.full((len(mounts), len(whole)), np.nan)
+        off = np.zeros((len(mounts), 6, len(whole)))
+        if len(mounts) > 1:
+            without[:] = [self._farthest_m(number > column) for column in sees.T]
+        for n, axis, moved in with_one_off(mounts):
+            others = number - sees[:, n]
+            seen = others > self.lost
+            unsure = np.flatnonzero(others == self.lost)  # where the sensor that is off decides
+            places = np.ascontiguousarray(self.posts.counted[unsure])
+            seen[unsure] = lowest_at(places, self.target, moved[n : n + 1], self.obstacles, 1, 1).counts[:, 0] > 0
+            off[n, axis] = np.maximum(off[n, axis], self._farthest_m(seen))
+        where = "over all posts"
+        return tuple(
+            MountMargins(
+                f"{what.capitalize()}, in metres",
+                "m",
+                limit_m,
+                True,
+                whole[k],
+                without[:, k],
+                off[..., k],
+                where,
+                where,
+            )
+            for k, (what, limit_m, *_) in enumerate(self._limits(self._visibility(number > self.lost)))
+        )
+
+    def _farthest_m(self, seen: Flags) -> Array:
+        """(limits,) what each limit is for, at the worst azimuth, if some of the posts that count (P,) are seen."""
+        return np.array([np.nanmax(values_m) for _, _, values_m, _ in self._limits(self._visibility(seen))])
 
     def _judged_by(self, seen: PostVisibility) -> RequirementVerdict:
-        limits = {
-            "first seen": (self.first_seen_at_most_m, seen.first_seen_m, seen.first_seen_m),
-            "longest gap": (self.gap_at_most_m, seen.longest_gap_m, seen.longest_gap_at_m),
-        }
-        found = [
-            self._verdict(seen, what, limit, values, at_m)
-            for what, (limit, values, at_m) in limits.items()
-            if limit is not None
-        ]
+        found = [self._verdict(seen, *limit) for limit in self._limits(seen)]
         return min(found, key=lambda one: one.relative_margin)
+
+    def _limits(self, seen: PostVisibility) -> list[tuple[str, float, Array, Array]]:
+        """What is limited, the limit, and (A,) each: the values by azimuth, and the distances at which they are."""
+        out = []
+        if self.first_seen_at_most_m is not None:
+            out.append(("first seen", self.first_seen_at_most_m, seen.first_seen_m, seen.first_seen_m))
+        if self.gap_at_most_m is not None:
+            out.append(("longest gap", self.gap_at_most_m, seen.longest_gap_m, seen.longest_gap_at_m))
+        return out
 
     def _verdict(
         self, seen: PostVisibility, what: str, limit_m: float, values_m: Array, at_m: Array

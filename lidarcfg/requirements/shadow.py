@@ -1,7 +1,7 @@
 """The shadow: what the vehicle's bodies alone hide from all sensors beside it, whatever their beams."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.objects import cases
 from lidarcfg.requirements.robustness import Robust
 from lidarcfg.requirements.sensors import OnPlaces, misplaced, no_progress
@@ -59,6 +60,11 @@ class ShadowRequirement:
         return height_m / max(round(height_m / STEP_M), 1)
 
     @property
+    def cell_m3(self) -> float:
+        """Its volume."""
+        return STEP_M**2 * self.layer_m
+
+    @property
     def work(self) -> int:
         """The number of points that are looked at, for progress."""
         return len(self.points_m) * (1 + (self.robust.drawn if self.robust else 0))
@@ -79,24 +85,59 @@ class ShadowRequirement:
 
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
-        found = [self._judged(mounts, on_places)]
+        names = [mount.name for mount in mounts]
+        seen = self.seen(mounts)
+        on_places(len(self.points_m))
+        found = [self.judged_by(seen, names)]
         if self.robust and self.robust.drawn:
-            draws = [self._judged(misplaced(mounts, one), on_places) for one in self.robust.errors(len(mounts))]
+            draws = []
+            for errors in self.robust.errors(len(mounts)):
+                draws.append(self.judged_by(self.seen(misplaced(mounts, errors)), names))
+                on_places(len(self.points_m))
             draws.sort(key=lambda one: one.reached)
             found.append(draws[self.robust.drawn - 1 - self.robust.spare])
-        return max(found, key=lambda one: one.reached)
+        left = self._without_each(seen)
+        breaking = tuple(name for name, volume_m3 in zip(names, left, strict=True) if volume_m3 > self.at_most_m3)
+        return replace(max(found, key=lambda one: one.reached), breaking=breaking)
 
-    def _judged(self, mounts: Sequence[Mount], on_places: OnPlaces) -> RequirementVerdict:
-        found = self.judged_by(self.seen(mounts), [mount.name for mount in mounts])
-        on_places(len(self.points_m))
-        return found
+    def margins(self, mounts: Sequence[Mount]) -> MountMargins:
+        """What single failures and mounts that are a little off leave."""
+        seen = self.seen(mounts)
+        whole_m3 = self._worst_m3(seen)
+        off = np.full((len(mounts), 6), whole_m3)
+        for n, axis, moved in with_one_off(mounts):
+            if axis < 3:  # the shadow is the same however sensors are turned
+                row = self.seen_from(np.array(moved[n].position_m))
+                off[n, axis] = max(off[n, axis], self._worst_m3(np.concatenate([seen[:n], row[None], seen[n + 1 :]])))
+        return MountMargins(
+            what="Hidden volume, in cubic metres",
+            unit="m³",
+            demanded=self.at_most_m3,
+            at_most=True,
+            whole=whole_m3,
+            without=self._without_each(seen),
+            off=off,
+            where_lost="over all points",
+            where_off="over all points",
+        )
+
+    def _worst_m3(self, seen: NDArray[np.bool_]) -> float:
+        """The volume that is hidden in the worst case from sensors that see points as `seen` (sensors, N) says."""
+        hidden = [int((~seen[kept].any(axis=0)).sum()) for kept in cases(len(seen), self.lost)]
+        return max(hidden) * self.cell_m3
+
+    def _without_each(self, seen: NDArray[np.bool_]) -> Array:
+        """(sensors,) the volume that is hidden without each of them; NaN: none is left."""
+        if len(seen) == 1:
+            return np.full(1, np.nan)
+        left = [int((~np.delete(seen, n, axis=0).any(axis=0)).sum()) for n in range(len(seen))]
+        return np.array(left) * self.cell_m3
 
     def judged_by(self, seen: NDArray[np.bool_], names: Sequence[str] = ()) -> RequirementVerdict:
         """The verdict on sensors, with these names, that see points as `seen` (sensors, N) says."""
         ways = cases(len(seen), self.lost)
-        cell_m3 = STEP_M**2 * self.layer_m
         hidden = [~seen[kept].any(axis=0) for kept in ways]
-        volumes = [float(one.sum()) * cell_m3 for one in hidden]
+        volumes = [float(one.sum()) * self.cell_m3 for one in hidden]
         worst = int(np.argmax(volumes))
         value = volumes[worst]
         place = None
@@ -106,7 +147,7 @@ class ShadowRequirement:
             nearest = int(distance_m.argmin())
             place = WorstPlace(float(points[nearest, 0]), float(points[nearest, 1]), None, float(distance_m[nearest]))
         lost = [name for n, name in enumerate(names) if n not in ways[worst]]
-        whole_m3 = len(self.points_m) * cell_m3
+        whole_m3 = len(self.points_m) * self.cell_m3
         return RequirementVerdict(
             name=self.name,
             kind="shadow_at_most_m3",
@@ -115,7 +156,8 @@ class ShadowRequirement:
             demanded=self.at_most_m3,
             reached=value,
             at_most=True,
-            shortfall=float(np.mean([max(one - self.at_most_m3, 0.0) for one in volumes])) / max(whole_m3, cell_m3),
+            shortfall=float(np.mean([max(one - self.at_most_m3, 0.0) for one in volumes]))
+            / max(whole_m3, self.cell_m3),
             worst=place,
             lost=tuple(lost),
             sampling=Sampling(len(self.points_m), (STEP_M, STEP_M), STEP_M),
