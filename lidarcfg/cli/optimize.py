@@ -233,7 +233,7 @@ def _find_cheapest(
 
         def on_effort(run: "CheapestRun", option: "Option") -> None:
             best = "none meets all yet" if run.found is None else f"{run.options[run.found].name} meets all"
-            on_progress(run.spent, f"round {run.round + 1}: {option.name}; {best}")
+            on_progress(run.round_done, f"round {run.round + 1}: {option.name}; {best}")
 
         workers = Cluster(scheduler) if scheduler else None
         try:

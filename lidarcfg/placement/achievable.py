@@ -23,7 +23,7 @@ from lidarcfg.sensors.firing import CycleBeams
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.returns import PHASES
 
-LOOKED_AT = 48  # places of an object, the nearest to the body, that are looked at from everywhere
+LOOKED_AT = 48  # directions around the body: in each the nearest place of an object is looked at from everywhere
 FROM = 512  # places of sensors, from which they are
 
 
@@ -146,20 +146,37 @@ def most_returns(beams: CycleBeams, radius_m: float, distance_m: float) -> int:
 
 
 def _out_of_sight(study: Study, item: ObjectRequirement) -> str | None:
-    """Whether from nowhere within the bounds there is a line of sight to an object at some place."""
+    """Whether at some place too few sensors have a line of sight to the object from anywhere within their bounds."""
     assert study.requirements
     site = study.requirements.site
     if not site.bounds:
         return None
-    sensors = places_within(site.bounds, site.vehicle)
-    if not len(sensors) or len(sensors) > FROM:
+    within = [places_within([box], site.vehicle) for box in site.bounds]
+    tried = sum(map(len, within))
+    if not tried or tried > FROM:
         return None
-    base = item.stand.base
-    for place in base[np.argsort(item.stand.distance_m(base), kind="stable")[:LOOKED_AT]]:
-        if not _sees(sensors, _points(item, place), site.obstacles.tree, site.obstacles.origin_m):
-            at = f"at ({place[0]:.2f}, {place[1]:.2f}), heading {np.degrees(place[3]):.0f}°"
-            return f"{at}, it is hidden from all {len(sensors):,} places that were tried within the bounds"
+    needed = item.lost + (item.sensors or 1)
+    for place in _nearest(item):
+        points = _points(item, place)
+        seeing = sum(_sees(places, points, site.obstacles.tree, site.obstacles.origin_m) for places in within)
+        if seeing >= needed:
+            continue
+        at = f"at ({place[0]:.2f}, {place[1]:.2f}), heading {np.degrees(place[3]):.0f}°"
+        if not seeing:
+            return f"{at}, it is hidden from all {tried:,} places that were tried within the bounds"
+        few = f"at most {seeing} of the {len(within)} sensors can see it, of {tried:,} places that were tried"
+        return f"{at}, {few}; {needed} have to"
     return None
+
+
+def _nearest(item: ObjectRequirement) -> Array:
+    """(n, 4) places near the body, or without one near the origin: the nearest position in each direction."""
+    base = item.stand.base
+    body = item.stand.zone.body
+    direction = np.floor(np.arctan2(base[:, 1], base[:, 0]) * (LOOKED_AT / (2 * math.pi)))
+    distance_m = body.to_points_m(base[:, :2]) if body else np.linalg.norm(base[:, :2], axis=1)
+    order = np.argsort(distance_m, kind="stable")
+    return base[order[np.unique(direction[order], return_index=True)[1]]]
 
 
 def _points(item: ObjectRequirement, place: Array) -> Array:

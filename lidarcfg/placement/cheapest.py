@@ -4,7 +4,7 @@ Combinations are searched in rounds. In the first, each is tried with the plain 
 search goes on until it has FIRST evaluations, then GROWTH times as many, and so on. A round ends at the first
 combination that has a verified rig; from then on only cheaper ones are searched, for one more round after each find.
 So the answer depends on the evaluations alone, not on how many workers there are. Those that cost too much, or have
-too many sensors, are not searched.
+too many sensors, are not searched, nor those of which it is known beforehand that they miss a requirement.
 """
 
 import math
@@ -12,9 +12,9 @@ import pickle
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.placement.achievable import unachievable
 from lidarcfg.placement.combinations import Combination, Option, distinct_options
 from lidarcfg.placement.plan import versions
 from lidarcfg.placement.requirements_search import RequirementsRun
@@ -22,9 +22,22 @@ from lidarcfg.placement.search_run import INFEASIBLE, Budget, Log, Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.sweep import Workers, check_versions, distribute
 
-NO_RIG = "no rig of it keeps the constraints"  # what comes of a search instead of an effort
+NO_RIG = "no rig of it keeps the constraints"
+TOO_DEAR = "too dear"
 FIRST = 250  # evaluations of the second round
 GROWTH = 4
+
+
+@dataclass(frozen=True)
+class Job:
+    """The search of a combination that is to go on."""
+
+    study: Study
+    log: Log | None  # of what was searched before
+    evaluations: int  # all in all
+    seconds: float
+    skip: bool
+    excludes: bool  # whether it is asked first if any rig of it can meet all
 
 
 @dataclass(frozen=True)
@@ -49,7 +62,7 @@ class Tried:
     shortfall: float  # of its best rig; inf if it was not searched
     failing: tuple[str, ...]
     meets: bool
-    too_dear: bool = False  # no rig of it is allowed
+    excluded: str | None = None  # why no rig of it can meet all
 
 
 @dataclass(frozen=True)
@@ -60,7 +73,7 @@ class Cheapest:
     placement: Placement
     tried: tuple[Tried, ...]  # by price: all that are cheaper, and those that were searched; all if none meets all
     combinations: int  # that are not alike
-    allowed: int  # of those, that price and number of sensors allow
+    excluded: int  # of those, of which no rig can meet all
     evaluations: int
     seconds: float
     interrupted: bool
@@ -115,28 +128,35 @@ class CheapestRun:
         self._began = time.perf_counter()
         self.options = distinct_options(study)
         asked = study.requirements
-        self.allowed = [n for n, one in enumerate(self.options) if not asked.too_dear(one.price, one.sensors)]
+        dear = (n for n, one in enumerate(self.options) if asked.too_dear(one.price, one.sensors))
+        self.excluded = dict.fromkeys(dear, TOO_DEAR)  # why no rig of an option can meet all
+        self._excludes = True
         self.efforts: dict[int, Effort] = {}
         self.found: int | None = None  # the cheapest that meets all so far
         self.round = 0
+        self.round_done = 0.0  # the fraction of its combinations
 
     @property
     def evaluations(self) -> int:
         """Evaluations of all combinations."""
         return sum(one.evaluations for one in self.efforts.values())
 
-    @property
-    def spent(self) -> float:
-        """The fraction of the budget that is spent."""
-        return min(self._budget.fraction(self.evaluations, 0), 1.0)
-
     def run(self, on_effort: OnEffort | None = None) -> None:
         """Search until the cheapest is found, or the budget is spent."""
-        numbers = self.allowed or list(range(len(self.options)))  # the closest, if all cost too much
+        self._search([n for n in range(len(self.options)) if n not in self.excluded], on_effort)
+        if not self.efforts:  # the closest, if none can meet all
+            self._excludes = False
+            numbers = range(len(self.options))
+            self._search([n for n in numbers if self.excluded[n] != TOO_DEAR] or list(numbers), on_effort)
+
+    def _search(self, numbers: list[int], on_effort: OnEffort | None) -> None:
+        """Search round after round."""
+        self.round = 0
         rounds_left = math.inf
         while numbers and rounds_left > 0 and not self._is_spent():
             before = self.found
             self._do_round(numbers, on_effort)
+            numbers = [n for n in numbers if n in self.efforts]
             if self.found is not None:
                 rounds_left = 1 if self.found != before else rounds_left - 1
                 numbers = [n for n in numbers if self.options[n].price < self.options[self.found].price]
@@ -153,13 +173,20 @@ class CheapestRun:
     def _do_round(self, numbers: list[int], on_effort: OnEffort | None) -> None:
         """Let the search of each combination go on, up to the first that meets all."""
 
+        done = 0
+
         def ended(number: int, effort: Effort | str | None) -> bool:
+            nonlocal done
             if effort is None:
                 raise ConfigError(f"{self.options[number].name}: its workers were killed; out of memory?")
-            if isinstance(effort, Effort):
+            if isinstance(effort, str):
+                self.excluded.setdefault(number, effort)
+            else:
                 self.efforts[number] = effort
                 if effort.meets and (self.found is None or number < self.found):
                     self.found = number
+            done += 1
+            self.round_done = done / len(numbers)
             if on_effort:
                 on_effort(self, self.options[number])
             return self._is_spent() or self.found in numbers
@@ -167,25 +194,26 @@ class CheapestRun:
         each = self._evaluations_each
         if self._workers:
             before = self.efforts.copy()
-            distribute(((n, self._job(n, each)) for n in numbers), self._workers, ended)
+            jobs = ((n, (work, pickle.dumps(self._job(n, each)), versions())) for n in numbers)
+            distribute(jobs, self._workers, ended)
             if self.found in numbers:  # what was begun before the find was known does not count
                 efforts = self.efforts.items()
                 self.efforts = before | {n: one for n, one in efforts if n not in numbers or n <= self.found}
             return
         for n in numbers:
-            study, log, seconds = self._arguments(n, each)
-            found = effort_of(study, log, each, seconds, self._threads, self._skip)
-            if ended(n, found or NO_RIG):
+            if ended(n, effort_of(self._job(n, each), self._threads)):
                 return
 
-    def _arguments(self, number: int, each: int) -> tuple[Study, Log | None, float]:
+    def _job(self, number: int, each: int) -> Job:
         known = self.efforts.get(number)
-        left = self._budget.deadline - time.perf_counter()
-        return self.options[number].combination.study, known.log if known else None, left
-
-    def _job(self, number: int, each: int) -> tuple[Any, ...]:
-        study, log, seconds = self._arguments(number, each)
-        return work, pickle.dumps((study, log)), each, seconds, self._skip, versions()
+        return Job(
+            study=self.options[number].combination.study,
+            log=known.log if known else None,
+            evaluations=each,
+            seconds=self._budget.deadline - time.perf_counter(),
+            skip=self._skip,
+            excludes=self._excludes,
+        )
 
     def result(self, interrupted: bool) -> Cheapest:
         """What is found so far. Raises KeyboardInterrupt if that is nothing."""
@@ -196,7 +224,6 @@ class CheapestRun:
         best = self.found
         if best is None:
             best = min(self.efforts, key=lambda n: (self.efforts[n].shortfall, self.options[n].price))
-        allowed = set(self.allowed)
         tried = []
         for n, one in enumerate(self.options):
             effort = self.efforts.get(n)
@@ -211,7 +238,7 @@ class CheapestRun:
                     shortfall=effort.shortfall if effort else math.inf,
                     failing=effort.failing if effort else (),
                     meets=effort.meets if effort else False,
-                    too_dear=n not in allowed,
+                    excluded=self.excluded.get(n),
                 )
             )
         combination = self.options[best].combination
@@ -220,34 +247,35 @@ class CheapestRun:
             placement=_placement(combination.study, self.efforts[best], self._threads, self._skip, interrupted),
             tried=tuple(tried),
             combinations=len(self.options),
-            allowed=len(self.allowed),
+            excluded=len(self.excluded),
             evaluations=self.evaluations,
             seconds=time.perf_counter() - self._began,
             interrupted=interrupted,
         )
 
 
-def work(content: bytes, evaluations: int, seconds: float, skip: bool, theirs: dict[str, str]) -> Effort | str:
+def work(content: bytes, theirs: dict[str, str]) -> Effort | str:
     """Search a combination in a worker. Raises ConfigError if `theirs` are not the worker's versions."""
     check_versions(theirs, "the command")
-    study, log = pickle.loads(content)
-    return effort_of(study, log, evaluations, seconds, 1, skip) or NO_RIG
+    return effort_of(pickle.loads(content), 1)
 
 
-def effort_of(
-    study: Study, log: Log | None, evaluations: int, seconds: float, threads: int | None = None, skip: bool = True
-) -> Effort | None:
+def effort_of(job: Job, threads: int | None = None) -> Effort | str:
     """Let a combination's search go on to so many evaluations, or until a rig meets all requirements.
 
-    None if no rig keeps the constraints.
+    Or why there is nothing to search: no rig keeps the constraints, or none can meet all.
     """
-    run = RequirementsRun(study, log)
-    budget = Budget(max(evaluations, 1), None, seconds, time.perf_counter() + seconds)
-    with run.evaluator(threads, skip) as evaluator:
+    study = job.study
+    if job.log is None and job.excludes:
+        for name, why in unachievable(study).items():
+            return f"{name}: {why}"
+    run = RequirementsRun(study, job.log)
+    budget = Budget(max(job.evaluations, 1), None, job.seconds, time.perf_counter() + job.seconds)
+    with run.evaluator(threads, job.skip) as evaluator:
         while not run.is_over(budget) and not run.is_verified:
             run.step(evaluator, budget)
         if run.best_cost >= INFEASIBLE:
-            return None
+            return NO_RIG
         shortfalls = evaluator.shortfalls(study.poses(run.best_x[None])[0])
     assert study.requirements
     names = [item.name for item in study.requirements.items]

@@ -188,7 +188,8 @@ class Study:
         lower = self.lower[rows]
         upper = self.upper[rows]
         mirror = self.mirror[rows]
-        return replace(self, slots=tuple(slots), lower=lower, upper=upper, mirror=mirror, file=file)
+        asked = self.requirements and self.requirements.of_slots(rows)
+        return replace(self, slots=tuple(slots), lower=lower, upper=upper, mirror=mirror, requirements=asked, file=file)
 
     @property
     def segments(self) -> int:

@@ -204,7 +204,7 @@ if TYPE_CHECKING:
 
 COMBINATIONS = "combinations.csv"
 SHOWN = 20  # combinations on the terminal
-COLUMNS = ("combination", "price", "sensors", "evaluations", "shortfall", "missed", "meets", "too_dear")
+COLUMNS = ("combination", "price", "sensors", "evaluations", "shortfall", "missed", "meets", "excluded")
 
 
 def save_combinations(found: "Cheapest", folder: Path) -> None:
@@ -215,7 +215,7 @@ def save_combinations(found: "Cheapest", folder: Path) -> None:
         for one in found.tried:
             short = one.shortfall if math.isfinite(one.shortfall) else ""
             missed = "; ".join(one.failing)
-            row = (one.name, one.price, one.sensors, one.evaluations, short, missed, int(one.meets), int(one.too_dear))
+            row = (one.name, one.price, one.sensors, one.evaluations, short, missed, int(one.meets), one.excluded or "")
             writer.writerow(row)
 
 
@@ -223,15 +223,14 @@ def print_cheapest(found: "Cheapest") -> None:
     """Print the answer, then the cheaper combinations, or those that come closest if none meets all."""
     console = terminal()
     asked = found.combination
-    rest = found.combinations - found.allowed
-    dear = f"; {rest:,} cost too much or have too many sensors" if rest else ""
+    out = f"; {found.excluded:,} cannot meet all" if found.excluded else ""
     if found.meets:
         console.print(f"the cheapest rig found that meets all requirements: {asked.sensors}, for {price(asked.price)}")
     else:
         console.print(f"no rig found meets all requirements; {asked.sensors}, for {price(asked.price)}, comes closest")
     searched = sum(math.isfinite(one.shortfall) for one in found.tried)
     console.print(
-        f"{searched:,} of {counted(found.combinations, 'combination')} searched{dear}; "
+        f"{searched:,} of {counted(found.combinations, 'combination')} searched{out}; "
         f"{found.evaluations:,} evaluations, {found.seconds:.1f} s"
     )
     shown = [one for one in found.tried if one.price < asked.price] if found.meets else _closest(found.tried)
@@ -252,7 +251,7 @@ def print_cheapest(found: "Cheapest") -> None:
             truncate(one.name),
             f"{one.evaluations:,}",
             f"{one.shortfall:.4g}" if math.isfinite(one.shortfall) else "–",
-            "too dear" if one.too_dear else _missed(one),
+            _missed(one),
         )
     console.print(table)
     if len(shown) > SHOWN:
@@ -264,6 +263,8 @@ def _closest(tried: "tuple[Tried, ...]") -> "list[Tried]":
 
 
 def _missed(one: "Tried") -> str:
+    if one.excluded:
+        return one.excluded
     if not math.isfinite(one.shortfall):
         return "not searched"
     if one.failing:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -47,7 +47,7 @@ class Site:
     body: Footprint | None  # of the vehicle
     obstacles: Obstacles  # what blocks beams
     ground_m: float  # height of the ground in the vehicle frame
-    bounds: Bounds | None = None  # boxes in which sensors may be; None: not known
+    bounds: Bounds | None = None  # the box in which each sensor may be; None: not known
 
     @classmethod
     def of(cls, vehicle: Vehicle | None, obstacles: Obstacles, ground_m: float, bounds: Bounds | None = None) -> "Site":
@@ -68,6 +68,12 @@ class Requirements:
         """The most sensors that fail in any of them."""
         fixed = PriceRequirement | SensorsRequirement
         return max((item.lost for item in self.items if not isinstance(item, fixed)), default=0)
+
+    def of_slots(self, numbers: Sequence[int]) -> "Requirements":
+        """The same of a study that has some of the sensors only."""
+        if not self.site.bounds:
+            return self
+        return replace(self, site=replace(self.site, bounds=[self.site.bounds[n] for n in numbers]))
 
     def too_dear(self, price: float, sensors: int) -> bool:
         """Whether rigs of that price and number of sensors exceed what is allowed, wherever their sensors are."""

@@ -30,4 +30,4 @@ def test_the_cheapest_rig(tmp_path):
     assert "no rig found meets all requirements" in done.stdout
     with open(tmp_path / "out" / "combinations.csv") as file:
         rows = list(csv.DictReader(file))
-    assert {row["too_dear"] for row in rows} == {"1"}
+    assert {row["excluded"] for row in rows} == {"too dear"}
