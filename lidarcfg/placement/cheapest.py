@@ -212,7 +212,7 @@ class CheapestRun:
             evaluations=each,
             seconds=self._budget.deadline - time.perf_counter(),
             skip=self._skip,
-            excludes=self._excludes,
+            excludes=self._excludes and self._skip,
         )
 
     def result(self, interrupted: bool) -> Cheapest:

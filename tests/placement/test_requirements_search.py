@@ -212,6 +212,41 @@ def test_no_result_is_worse_than_the_best_plain_rig(study):
     assert told.min() == costs.min()  # the others were given up where they could not beat those before
 
 
+CRATES = YARD[: YARD.index("  - name: most")] + YARD[YARD.index("{more}") :]
+
+
+def test_a_search_at_a_few_places_is_verified_at_all(study, monkeypatch):
+    """Where rigs fail at places of the base grid that do not count, these join; the verdict is that of all places."""
+    monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_PLACES", 12)
+    one = study(CRATES.replace("[1, 2.5]", "[0.3, 2.5]").replace("150", "500"), returns=100, lost=0, more="")
+    (item,) = one.requirements.items
+    assert len(item.trial_places) < 20 < len(item.stand.base)
+    found = optimize(one, threads=1)
+    assert any("joined those that count" in remark for remark in found.remarks)
+    assert found.verdict.passed
+    lowest = lowest_at(item.stand.base, item.target, found.rig.mounts, one.requirements.site.obstacles, 1000, 3)
+    assert lowest.counts.sum(axis=1).min() >= 100
+
+
+def test_what_trials_miss_is_found(study, monkeypatch):
+    """By brute force over the base grid: the places at which a rig fails, the worst of those first."""
+    monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_PLACES", 12)
+    monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_GROWTH", 3)
+    one = study(CRATES.replace("[1, 2.5]", "[0.3, 2.5]"), returns=120, lost=1, more="")
+    (item,) = one.requirements.items
+    (judge,) = Verifier(one.requirements).judges
+    some = 0
+    for poses in poses_of(one, 12):
+        mounts = one.rig(poses).mounts
+        counts = lowest_at(item.stand.base, item.target, mounts, one.requirements.site.obstacles, 1000, 3).counts
+        short = item.stand.base[counts.min(axis=1) < 120]
+        missed = judge.missed(mounts)
+        assert {tuple(place) for place in missed} <= {tuple(place) for place in short}
+        assert (len(missed) > 0) == (len(short) > 0)
+        some += 0 < len(short) < len(item.stand.base)
+    assert some
+
+
 def test_the_search_looks_through_the_slit(study):
     """The wall is open from x = 1 to 1.4 m at y = 2.5: the post at (1, 5) is seen from 1 < x < 1.8 at y = 0."""
     one = study(SLIT)
@@ -350,6 +385,36 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
         assert [tried.excluded for tried in found.tried].count("too dear") == 1  # two VLP-32C
         assert all("returns" in tried.excluded for tried in found.tried if tried.price <= 13000)
     assert isinstance(one.requirements, Requirements)
+
+
+def test_what_is_excluded_meets_nothing_when_searched(study):
+    """Combinations of which it is said that no rig can meet all are searched all the same without skipping."""
+    one = study(CHOICE.replace("RETURNS", "1500").replace("400", "200"))
+    excluded = {tried.name for tried in cheapest(one, threads=2).tried if tried.excluded not in (None, "too dear")}
+    searched = [tried for tried in cheapest(one, threads=2, skip=False).tried if tried.name in excluded]
+    assert len(searched) == len(excluded) > 0
+    assert all(tried.evaluations > 0 and tried.shortfall > 0 and not tried.meets for tried in searched)
+
+
+def test_too_few_sensors_in_sight(study):
+    """Of two sensors on either side of a wall one alone sees a crate beside it: none is left if that fails."""
+    text = """
+region: {{min_m: [-8, -8, 0], max_m: [8, 8, 4], cuboid_m: [1, 1, 1]}}
+vehicle: {{boxes: [{{name: wall, center_m: [0, 0, 1.5], size_m: [9, 0.2, 3]}}]}}
+sensors:
+  - {{model: vlp-16, name: left,
+     min: {{position_m: [-1, 2, 1], rpy_deg: [0, 0, 0]}}, max: {{position_m: [1, 2, 1], rpy_deg: [0, 0, 0]}}}}
+  - {{model: vlp-16, name: right,
+     min: {{position_m: [-1, -2, 1], rpy_deg: [0, 0, 0]}}, max: {{position_m: [1, -2, 1], rpy_deg: [0, 0, 0]}}}}
+requirements:
+  - name: crate
+    object: {{size_m: [0.5, 0.5, 0.5]}}
+    region: {{min_m: [-0.5, 0.5, -0.1], max_m: [0.5, 1.5, 2]}}
+    returns: 5
+    lost: {lost}
+"""
+    assert unachievable(study(text, lost=0)) == {}
+    assert "at most 1 of the 2 sensors can see it" in unachievable(study(text, lost=1))["crate"]
 
 
 def test_what_no_rig_can_meet_is_said(study):

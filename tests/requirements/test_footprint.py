@@ -81,6 +81,12 @@ def test_places_are_where_they_are_allowed():
     near = places[body.to_points_m(places[:, :2]) < 5]
     steps = np.diff(np.unique(near[:, 0].round(6)))
     assert steps.max() == pytest.approx(0.1)
+    some = {most: {tuple(place) for place in stand.thinned(most)} for most in (300, 1000)}
+    assert some[300] < some[1000] < {tuple(place) for place in places}
+    assert [len(one) for one in some.values()] == pytest.approx([300, 1000], rel=0.1)
+    ahead = [np.mean([place[1] > 0 for place in one]) for one in some.values()]  # spread: half of them on either side
+    assert ahead == pytest.approx([np.mean(places[:, 1] > 0)] * 2, abs=0.04)
+    assert len(stand.thinned(len(places))) == len(places)
     inside = Zone(body, box_m=(np.array([3.0, -1.0]), np.array([5.0, 1.0])))
     boxed = Stand(inside, OBJECT, np.radians([0.0, 90.0]), 0.0, 0.25).base
     reach = np.where(boxed[:, 3] == 0, 0.2, 0.1)
