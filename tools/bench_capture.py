@@ -47,7 +47,8 @@ sensors:
 COLUMNS, ROWS = 500, 200  # cells of the paving, two triangles each
 LENGTH_M, WIDTH_M = 60.0, 13.0
 SPEED_M_S = 10.0  # along the paving, to and fro
-BODY, MILLION = (50, 50), (708, 708)  # quads of closed bodies of 4,900 and of a million triangles
+BODY = (50, 50)
+MILLION = (708, 708)  # quads of closed bodies of 4,900 and of a million triangles
 CUBOIDS = (-30.0, -10.0, -0.75), (30.0, 10.0, 3.25), (60, 40, 20)  # of the paper's region around a body
 BODY_SCENE = "name: body\nmeshes: [{name: body, file: body.ply, position_m: [0, 0, 0], reflectivity: 20}]\n"
 
@@ -73,14 +74,17 @@ def pave(folder: Path) -> Path:
 
 def seconds(function: Callable[[], object]) -> tuple[float, float]:
     """By the clock, and of the processor: the latter says more where other work is done beside."""
-    began, spent = time.perf_counter(), time.process_time()
+    began = time.perf_counter()
+    spent = time.process_time()
     function()
     return time.perf_counter() - began, time.process_time() - spent
 
 
 def rays_of(mount: Mount, duration_ns: int) -> Iterator[tuple[Firings, Array, Array]]:
     """Chunks of a mount's firings, with the origins and directions (N, 3) of their rays in the vehicle frame."""
-    maker, sensor, T = codec(mount.sensor), mount.sensor, mount.T_vehicle_sensor
+    maker = codec(mount.sensor)
+    sensor = mount.sensor
+    T = mount.T_vehicle_sensor
     pace = maker.pace(mount)
     for batch in maker.schedule(mount, START_NS, duration_ns // pace.period_ns, CHUNK_RAYS // pace.firings):
         fired = batch.firings
@@ -111,7 +115,8 @@ def body(folder: Path, columns: int, rows: int) -> Scene:
 
 def raycasting(scene: Scene) -> o3d.t.geometry.RaycastingScene:
     """Open3D's, of the same triangles."""
-    theirs, tensor = o3d.t.geometry.RaycastingScene(), o3d.core.Tensor.from_numpy
+    theirs = o3d.t.geometry.RaycastingScene()
+    tensor = o3d.core.Tensor.from_numpy
     vertices, triangles = scene.mesh(0.001)
     theirs.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
     return theirs
@@ -119,7 +124,8 @@ def raycasting(scene: Scene) -> o3d.t.geometry.RaycastingScene:
 
 def tracing(folder: Path) -> None:
     """The table of rays, one thread each: first hits of four VLP-16, any hits around a body, building."""
-    scene, rig = load_scene(pave(folder)), load_rig(folder / "rig.yaml")
+    scene = load_scene(pave(folder))
+    rig = load_rig(folder / "rig.yaml")
     chunks = [chunk for mount in rig.mounts for chunk in rays_of(mount, 2 * SECOND_NS)]
     orders = [np.argsort(fired.laser, kind="stable") for fired, _, _ in chunks]  # laser by laser, as exports do
     origins, along = (
@@ -137,8 +143,10 @@ def tracing(folder: Path) -> None:
     )
     stage = body(folder, *BODY)
     axes = [low + (np.arange(n) + 0.5) * (high - low) / n for low, high, n in zip(*CUBOIDS, strict=True)]
-    targets, origin = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3), np.array([0.4, 0.3, 0.95])
-    tracer, others = Tracer(stage, np.zeros(3)), raycasting(stage)
+    targets = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    origin = np.array([0.4, 0.3, 0.95])
+    tracer = Tracer(stage, np.zeros(3))
+    others = raycasting(stage)
     segments = np.concatenate([np.broadcast_to(origin, targets.shape), targets - origin], axis=1)
     given = o3d.core.Tensor.from_numpy(segments.astype(np.float32))
     agree = (tracer.blocked(origin, targets) == others.test_occlusions(given, 0.0, 1.0).numpy()).mean()
@@ -150,21 +158,24 @@ def tracing(folder: Path) -> None:
     )
     million = body(folder, *MILLION)
     built = np.array([seconds(lambda: Tracer(million, np.zeros(3)))[1] for _ in range(3)])
-    what, spread = f"build, {len(million.triangles):,} triangles, s", f"{built.min():.2f} to {built.max():.2f}"
+    what = f"build, {len(million.triangles):,} triangles, s"
+    spread = f"{built.min():.2f} to {built.max():.2f}"
     print(f"| {what} | {np.median(built):.2f} | | | {spread} |")
 
 
 def beside(what: str, count: int, ours: Callable[[], object], theirs: Callable[[], object]) -> None:
     """A row: rates by the processor's time, in turns, and how many times as fast."""
     spent = np.array([[seconds(one)[1] for one in (ours, theirs)] for _ in range(RUNS + 1)])[1:]
-    rates, ratio = count / np.median(spent, axis=0) / 1e6, spent[:, 1] / spent[:, 0]
+    rates = count / np.median(spent, axis=0) / 1e6
+    ratio = spent[:, 1] / spent[:, 0]
     spread = f"{ratio.min():.2f} to {ratio.max():.2f}"
     print(f"| {what} | {rates[0]:.1f} | {rates[1]:.1f} | {np.median(ratio):.2f} | {spread} |")
 
 
 def bare(rig: Rig, scene: Scene, duration_ns: int) -> tuple[Callable[[], None], int]:
     """What casts the capture's rays, chunk by chunk, by Open3D alone; and how many they are."""
-    caster, tensor = raycasting(scene), o3d.core.Tensor.from_numpy
+    caster = raycasting(scene)
+    tensor = o3d.core.Tensor.from_numpy
     chunks = [
         tensor(np.concatenate([origins, axes], axis=1).astype(np.float32))
         for mount in rig.mounts
@@ -193,7 +204,8 @@ def encoding(mount: Mount, packets: int, path: Path) -> tuple[Callable[[], None]
 
 def writing(folder: Path, simulated_s: float) -> None:
     """The table of exports."""
-    scene, rig = load_scene(pave(folder)), load_rig(folder / "rig.yaml")
+    scene = load_scene(pave(folder))
+    rig = load_rig(folder / "rig.yaml")
     duration_ns = round(simulated_s * SECOND_NS)
     cast, count = bare(rig, scene, duration_ns)
     write, returns = encoding(rig.mounts[0], 2000, folder / "b.pcap")

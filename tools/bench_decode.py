@@ -36,7 +36,8 @@ from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.sensors.schedule import firings
 from lidarcfg.sensors.sensor import load_sensor
 
-RUNS, PACKETS = 7, 40_000
+RUNS = 7
+PACKETS = 40_000
 START_NS = 1_767_225_600 * 10**9
 HERE = Path(__file__).parent.parent
 CASES = {
@@ -50,7 +51,8 @@ FRAME = np.dtype([("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP),
 
 def write(path: Path, model: str, mode: str, packets: int, sensors: int = 1) -> None:
     """A capture of sensors that send together; every thousand packets their ranges are the same again."""
-    sensor, dual = unit(load_sensor(model)), mode == "dual"
+    sensor = unit(load_sensor(model))
+    dual = mode == "dual"
     rng = np.random.default_rng(1)
     fired = firings(sensor.firing_schedule(dual), 600.0, START_NS, range(1000))
     shape = len(fired.time_ns), 1 + dual
@@ -59,12 +61,14 @@ def write(path: Path, model: str, mode: str, packets: int, sensors: int = 1) -> 
     reflectivity = rng.integers(1, 256, shape, np.uint8)
     if dual:  # half of the firings had one return
         one = rng.random(len(fired.time_ns)) < 0.5
-        range_m[one, 0], reflectivity[one, 0] = range_m[one, 1], reflectivity[one, 1]
+        range_m[one, 0] = range_m[one, 1]
+        reflectivity[one, 0] = reflectivity[one, 1]
     frames = np.zeros((1000, sensors), FRAME)
     frames["record"]["captured"] = frames["record"]["length"] = FRAME.itemsize - RECORD.itemsize
     frames["ethernet"]["kind"] = 0x0800
     ip = frames["ip"]
-    ip["version"], ip["protocol"] = 0x45, 17
+    ip["version"] = 0x45
+    ip["protocol"] = 17
     ip["length"] = FRAME.itemsize - RECORD.itemsize - ETHERNET_HEADER.itemsize
     ip["source"][:] = [[192, 168, 1, 201 + i] for i in range(sensors)]
     frames["udp"]["source_port"] = frames["udp"]["port"] = 2368
@@ -96,7 +100,8 @@ def against(folder: Path) -> None:
     heads = "capture | lidarcfg, million points/s | velodyne-decoder | times as fast | by CPU time | one cloud / chunks"
     print(f"\n| {heads} |\n|---|---|---|---|---|---|")
     for (name, mode), model in CASES.items():
-        path, few = folder / "a.pcap", folder / "few.pcap"
+        path = folder / "a.pcap"
+        few = folder / "few.pcap"
         write(path, name, mode, PACKETS)
         write(few, name, mode, 20)
         rows = []
@@ -119,7 +124,8 @@ def against(folder: Path) -> None:
 
 def timed(function, *arguments) -> tuple[int, float, float]:
     """What it gives, seconds by the clock, seconds of all threads."""
-    began, began_cpu = time.perf_counter(), time.process_time()
+    began = time.perf_counter()
+    began_cpu = time.process_time()
     count = function(*arguments)
     return count, time.perf_counter() - began, time.process_time() - began_cpu
 

@@ -34,13 +34,15 @@ from lidarcfg.placement.subspace import grid_of
 from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 from lidarcfg.requirements.robustness import Robust
 
-SEED, RIGS = 1, 5
+SEED = 1
+RIGS = 5
 
 
 def commands() -> None:
     """Whole commands, each in a process of its own: the first after the installation, and the median of five more."""
     print("\n| command, s | first run | later runs | first over later |\n|---|---|---|---|")
-    study, rig = ROOT / "data/studies/sedan.yaml", ROOT / "data/rigs/roof.yaml"
+    study = ROOT / "data/studies/sedan.yaml"
+    rig = ROOT / "data/rigs/roof.yaml"
     for name, options in (
         ("evaluate", ["evaluate", str(study), str(rig)]),
         ("optimize, 1,000 evaluations", ["optimize", str(study), "--evaluations", "1000"]),

@@ -38,7 +38,8 @@ METHODS = {"auto": "`auto`", "cmaes": "`cma` alone", "annealing": "annealing alo
 SEEDS = 5  # with fewer a study's median and worst say little, most of all where one of them is the best known
 MEDIAN, WORST = 0.01, 0.04  # how far over the best known they may be
 MOST = 10**9  # evaluations of a search that is ended by its time
-PIECE_S, FIRST_SEED = 600.0, 1000  # of searches for the best known
+PIECE_S = 600.0
+FIRST_SEED = 1000  # of searches for the best known
 Run = dict[str, Any]
 
 
@@ -47,7 +48,8 @@ def code() -> str:
 
     How fast rigs are evaluated is no part of it, nor are comments and docstrings.
     """
-    placement, said = ROOT / "lidarcfg/placement", hashlib.sha256()
+    placement = ROOT / "lidarcfg/placement"
+    said = hashlib.sha256()
     for file in (*sorted(placement.glob("solvers/*.py")), placement / "slots.py", placement / "search_run.py"):
         tree = ast.parse(file.read_bytes())
         for node in ast.walk(tree):
@@ -96,7 +98,8 @@ def record(run: Run) -> None:
     with RUNS.open("a") as file:
         file.write(json.dumps(run) + "\n")
     known = json.loads(KNOWN.read_text())
-    best, study = known[run["study"]], run["study"]
+    best = known[run["study"]]
+    study = run["study"]
     best["searched_s"] += run["seconds"] if run["seed"] >= FIRST_SEED else 0.0
     if run["max_vsr_m"] < best["max_vsr_m"]:
         threads = f"{run['threads']} thread{'s' * (run['threads'] > 1)}"
@@ -139,7 +142,8 @@ def compared(runs: list[Run], methods: list[str], known: dict[str, Any]) -> list
     lines = [f"| LiDARs × beams | best known (m) | {head} |", "|---" * (2 + len(cells) * len(methods)) + "|"]
     kept: dict[str, list[tuple[bool, bool]]] = {method: [] for method in methods}
     for study in STUDIES:
-        least, row = known[study]["max_vsr_m"], []
+        least = known[study]["max_vsr_m"]
+        row = []
         for method in methods:
             some = [run for run in runs if (run["study"], run["method"]) == (study, method)]
             if not some:

@@ -230,7 +230,8 @@ def terms(path: Path) -> None:
 def _from_the_side(axis: Axes) -> None:
     """Beams with their rings, and the gaps between them."""
     elevations_deg = (-25.0, -12.0, 0.0, 12.0)
-    height, reach = 1.9, 9.0
+    height = 1.9
+    reach = 9.0
     ends = [(reach, height + reach * np.tan(np.radians(angle))) for angle in elevations_deg]
     for ring, (x, z) in enumerate(ends):
         axis.plot([0, x], [height, z], color=COLOURS[0], linewidth=1.6)
@@ -314,7 +315,8 @@ def makers(path: Path) -> None:
 
 def _revolution(model: str, folder: Path) -> PointCloud:
     """What a sensor on a roof sees in a tenth of a second."""
-    rig, capture = folder / f"{model}.yaml", folder / f"{model}.pcap"
+    rig = folder / f"{model}.yaml"
+    capture = folder / f"{model}.pcap"
     rig.write_text(
         f"name: {model}\nsensors: [{{name: {model}, model: {model}, position_m: [0.3, 0, 1.9], rpm: 600}}]\n"
     )

@@ -11,7 +11,8 @@ from lidarcfg.world.scene import Scene
 from lidarcfg.world.tracer import Tracer
 
 LIGHT = np.array([0.45, -0.65, 0.6]) / np.linalg.norm([0.45, -0.65, 0.6])
-SKY, COLOURS = (221, 230, 240), 96  # of a palette: flat shades need no more
+SKY = (221, 230, 240)
+COLOURS = 96  # of a palette: flat shades need no more
 SOFT = 2  # rays a pixel along each side
 COLOUR_OF = {  # by what an object's name has, the first that fits
     "glass": (120, 140, 165),
@@ -33,7 +34,9 @@ COLOUR_OF = {  # by what an object's name has, the first that fits
     "lidar": (40, 42, 48),
     "driveway": (165, 70, 60),
 }
-OTHER, ROAD, ROAD_M = (190, 190, 190), (112, 114, 118), 3.6
+OTHER = (190, 190, 190)
+ROAD = (112, 114, 118)
+ROAD_M = 3.6
 
 
 class Camera(NamedTuple):

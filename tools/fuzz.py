@@ -68,7 +68,8 @@ START_NS = 1_700_000_000 * 10**9
 ODD = (3, 4, 5, 6, 7, 8, 11)  # changes that no check of flags and ids refuses
 SLOW_S = 60.0  # a case that takes longer hangs
 REACH_M = 65535 * 0.004 + 100.0  # the largest distance on the wire, and offsets that a calibration may carry
-RETURNS_MAX, SPAN_S = 384, 4.0  # of a packet; of most captures
+RETURNS_MAX = 384
+SPAN_S = 4.0  # of a packet; of most captures
 CLASSIC = struct.pack("<I", 0xA1B2C3D4)
 ROUND = 1_000_000  # packets: atheris, not the decoder, keeps about a megabyte of each capture
 SYNTHETIC = len(MODELS) * len(MODES)
@@ -102,7 +103,8 @@ class Case:
     """Numbers from a string of bytes; zeros when it ends."""
 
     def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
+        self._data = data
+        self._at = 0
         self.rng = np.random.default_rng(list(data[:8]))
 
     def seldom(self, one_of: int) -> bool:
@@ -125,7 +127,8 @@ def seed_packets(number: int) -> NDArray[Any]:
         packets = packets_of(np.concatenate([batch.payloads(PACKET.itemsize) for batch in batches]))
         if len(packets):
             return packets[:400]
-    sensor, mode = unit(load_sensor(MODELS[number % len(MODELS)])), MODES[number % len(MODES)]
+    sensor = unit(load_sensor(MODELS[number % len(MODELS)]))
+    mode = MODES[number % len(MODES)]
     fired = firings(sensor.firing_schedule(mode == "dual"), 600.0, START_NS, range(400))
     rng = np.random.default_rng(number)
     shape = len(fired.time_ns), 1 + (mode == "dual")
@@ -145,7 +148,8 @@ def changed(case: Case, packets: NDArray[Any]) -> NDArray[Any]:
         if what == 0:
             raw[which, case.below(1206)] = case.below(256)
         elif what == 1:
-            at, size = case.below(1206), 1 + case.below(20)
+            at = case.below(1206)
+            size = 1 + case.below(20)
             raw[which, at : at + size] = case.rng.integers(0, 256, raw[which, at : at + size].shape)
         elif what == 2:
             blocks["flag"][which, case.below(12)] = (0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF, 0, 0xFFFF)[case.below(6)]
@@ -176,7 +180,9 @@ def capture(case: Case, seed: int) -> tuple[bytes, int]:
     count = (5, 60, 400, 2000)[case.below(4)]
     packets = changed(case, packets[np.arange(count) % len(packets)])
     frames = np.zeros(count, FRAME)
-    record, ip, udp = frames["record"], frames["ip"], frames["udp"]
+    record = frames["record"]
+    ip = frames["ip"]
+    udp = frames["udp"]
     frames["packet"] = packets
     time_us = START_NS // 1000 + np.arange(count, dtype=np.int64) * (1327, 553, 160, 100_000)[case.below(4)]
     if case.seldom(3):
@@ -184,7 +190,8 @@ def capture(case: Case, seed: int) -> tuple[bytes, int]:
     record["seconds"], record["microseconds"] = np.divmod(np.maximum(time_us, 0), 10**6)
     record["captured"] = record["length"] = FRAME.itemsize - RECORD.itemsize
     frames["ethernet"]["kind"] = 0x0800
-    ip["version"], ip["protocol"] = 0x45, socket.IPPROTO_UDP
+    ip["version"] = 0x45
+    ip["protocol"] = socket.IPPROTO_UDP
     ip["length"] = IP.itemsize + UDP.itemsize + PACKET.itemsize
     ip["source"] = [192, 168, 1, 201]
     ip["source"][:, 3] += (np.arange(count) % (1 + case.below(3))).astype(np.uint8)
@@ -200,7 +207,8 @@ def capture(case: Case, seed: int) -> tuple[bytes, int]:
     link = (1, 1, 1, 113, 101, 12, 195, 0)[case.below(8) if case.seldom(8) else 0]
     data = bytearray(magic + struct.pack("<HHiIII", 2, 4, 0, 0, 65535, link) + body)
     for _ in range(case.below(4) if case.seldom(4) else 0):
-        at, how = case.below(65536) * 7919 % len(data), case.below(4)
+        at = case.below(65536) * 7919 % len(data)
+        how = case.below(4)
         if how == 0:
             del data[at : at + case.below(3000)]
         elif how == 1:
@@ -277,7 +285,9 @@ def run(data: bytes, folder: Path, makers: bool) -> tuple[int, int, str]:
     for suffix, content in asked.beside.items():
         path.with_name(f"case{suffix}").write_bytes(content)
     began = time.perf_counter()
-    points, why, clouds = 0, "", []
+    points = 0
+    why = ""
+    clouds = []
     try:
         low_s, length_s = (asked.span_s / 2000 * one for one in (case.below(1000), 1 + case.below(1000)))
         selection = Selection(low_s, low_s + length_s) if case.seldom(4) else Selection()
@@ -322,7 +332,9 @@ class Tally:
 
     def add(self, count: int, points: int, why: str) -> None:
         """One more case."""
-        self.captures, self.packets, self.points = self.captures + 1, self.packets + count, self.points + points
+        self.captures = self.captures + 1
+        self.packets = self.packets + count
+        self.points = self.points + points
         self.refused += bool(why)
         if self.captures % 100 == 0:
             self.save()
@@ -380,7 +392,8 @@ def main() -> None:
         if args.case is not None:
             print(run(args.case, folder, args.makers))
             return
-        began, whole = time.perf_counter(), Counter[str]()
+        began = time.perf_counter()
+        whole = Counter[str]()
         while whole["packets"] < args.packets:
             least = args.packets - whole["packets"]
             least = min(least, ROUND) if atheris else least

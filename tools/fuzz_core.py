@@ -186,7 +186,8 @@ def call_for(seconds: float, seen: Seen, rng: np.random.Generator, latest: mmap.
     while time.monotonic() < until:
         name = names[rng.integers(len(names))]
         function, given, named = seen.calls[name][rng.integers(len(seen.calls[name]))]
-        given, named = copy.copy(_copied(given)), _copied(named)
+        given = copy.copy(_copied(given))
+        named = _copied(named)
         if given and (not named or rng.random() < 0.8):
             given = changed(given, rng)
         elif named:

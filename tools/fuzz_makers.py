@@ -41,7 +41,8 @@ MADE = [
 RECORDED = 12  # as many recordings at most
 SEEDS = len(MADE) + RECORDED
 PACKETS = 200
-RETURNS_MAX, SPAN_S = 4096, 0.05  # of a packet: an OS0-128 with dual returns; of most captures
+RETURNS_MAX = 4096
+SPAN_S = 0.05  # of a packet: an OS0-128 with dual returns; of most captures
 REACH_M = 65535 * 0.255 + 10.0  # a Hesai's header says the unit, up to 255 mm
 LIVOX_REACH_M = 2**32 / 1000  # a packet's depth has 32 bits of millimetres
 FRAGMENT_OFFSET = RECORD.itemsize + ETHERNET_HEADER.itemsize + 6
@@ -107,7 +108,8 @@ def seed(number: int) -> Seed | None:
     if number >= len(MADE):
         return _recorded(number - len(MADE))
     of = mount(*MADE[number])
-    maker, rng = codec(of.sensor), np.random.default_rng(number)
+    maker = codec(of.sensor)
+    rng = np.random.default_rng(number)
     (batch,) = maker.schedule(of, START_NS, PACKETS, PACKETS)
     shape = len(batch.firings.time_ns), 1 + of.dual
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 45, shape), np.inf)
@@ -121,13 +123,15 @@ def _recorded(number: int) -> Seed | None:
     paths = sorted(folder.glob("*/*.pcap"))
     if number >= len(paths):
         return None
-    path, like = paths[number], seed(0)
+    path = paths[number]
+    like = seed(0)
     assert like
     (batch,) = list(read_batches(path, lambda warning: None))[:1]
     groups = []
     for port, size in sorted(set(zip(batch.port.tolist(), batch.size.tolist(), strict=True))):
         mine = batch[(batch.port == port) & (batch.size == size)]
-        time_ns, data = mine.time_ns[:PACKETS], mine.payloads(size)[:PACKETS]
+        time_ns = mine.time_ns[:PACKETS]
+        data = mine.payloads(size)[:PACKETS]
         groups.append(replace(like.groups[-1], time_ns=time_ns, data=data, port=port))
     beside = {f"-{one.name}": one.read_bytes() for one in path.parent.glob(f"{path.stem}*.json")}
     return Seed(None, tuple(groups), like.host, beside)
@@ -139,7 +143,8 @@ def changed(case, payloads: Payloads) -> Payloads:
     count, size = data.shape
     for _ in range(case.below(4)):
         which = np.flatnonzero(case.rng.random(count) < (0.01, 0.1, 0.5, 1.0)[case.below(4)])
-        what, at = case.below(8), case.below(size)
+        what = case.below(8)
+        at = case.below(size)
         if what == 0:
             data[which, at] = case.below(256)
         elif what == 1:
@@ -166,7 +171,8 @@ def changed(case, payloads: Payloads) -> Payloads:
 def reordered(case, records: list[bytes]) -> list[bytes]:
     """The frames with some missing, twice, out of order, or as fragments that overlap or leave gaps."""
     for _ in range(case.below(3)):
-        fraction, what = (0.01, 0.2)[case.below(2)], case.below(5)
+        fraction = (0.01, 0.2)[case.below(2)]
+        what = case.below(5)
         drawn = case.rng.random(len(records)) < fraction
         if what == 0:
             records = [one for one, gone in zip(records, drawn, strict=True) if not gone]
@@ -200,7 +206,8 @@ def besides(case, beside: dict[str, bytes]) -> dict[str, bytes]:
     """The files beside the capture: as they are, cut off, changed, another sensor's, or none."""
     out = {}
     for suffix, content in beside.items():
-        what, body = case.below(8), bytearray(content)
+        what = case.below(8)
+        body = bytearray(content)
         if what == 0:
             continue
         if what == 1:

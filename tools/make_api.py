@@ -82,7 +82,8 @@ def faces() -> list[str]:
 
 def reference() -> str:
     """The whole page; a name that several packages export is with the first."""
-    parts, seen = [HEAD], set()
+    parts = [HEAD]
+    seen = set()
     for face in faces():
         some = []
         for source, node in exported(face):

@@ -79,7 +79,9 @@ def ring(x: float, radius: float, width: float) -> Manifold:
 def cyclist() -> Manifold:
     """Someone on a city bicycle."""
     bicycle = ring(-0.53, 0.34, 0.04) + ring(0.53, 0.34, 0.04)
-    crank, saddle, bars = (-0.08, 0.0, 0.29, 0.025), (-0.24, 0.0, 0.88, 0.02), (0.36, 0.0, 0.98, 0.02)
+    crank = (-0.08, 0.0, 0.29, 0.025)
+    saddle = (-0.24, 0.0, 0.88, 0.02)
+    bars = (0.36, 0.0, 0.98, 0.02)
     front, rear = (0.53, 0.0, 0.34, 0.018), (-0.53, 0.0, 0.34, 0.018)
     bicycle += limb(crank, saddle) + limb(crank, (0.38, 0.0, 0.72, 0.025)) + limb(crank, rear) + limb(front, bars)
     bicycle += limb((-0.2, 0.0, 0.74, 0.018), (0.38, 0.0, 0.78, 0.018)) + limb((-0.2, 0.0, 0.74, 0.015), rear)
@@ -147,7 +149,8 @@ OBJECTS = {"pedestrian": adult, "child": child, "cyclist": cyclist, "car": car, 
 def main(folder: Path) -> None:
     """Make all of them."""
     for name, make in OBJECTS.items():
-        solid, path = make(), folder / f"{name}.ply"
+        solid = make()
+        path = folder / f"{name}.ply"
         low_x, low_y, low_z, high_x, high_y, _ = solid.bounding_box()
         solid = solid.simplify(COARSE_M).translate([-(low_x + high_x) / 2, -(low_y + high_y) / 2, -low_z])
         print(f"{path}: {save(solid, path):,} triangles, {path.stat().st_size / 1000:.0f} kB")

@@ -23,16 +23,24 @@ from suburb_road import Array, Road, drive, land_m, road
 
 DATA = Path(__file__).parent.parent / "data"
 SEED = 7
-KERB_M, PAVEMENT_M, HIGH_M = (
-    3.6,
-    5.4,
-    0.12,
-)  # from the middle of the road: its edge, the outer edge of the pavement; height
-LAND_CELL_M, LAND_STEP_M, MARGIN_M = 1.0, 0.01, 45.0
-ROUGH_M, ROUGH_FROM_M = 0.05, 6.0  # of gardens, as a standard deviation; and how far from the road they begin
-HOUSE_M, PLOT_M, APART_M = 14.5, 19.0, 13.0  # a house's middle from the road; between plots; between houses at least
-HEDGE_M, HEDGE_WIDE_M, HEDGE_HIGH_M, HEDGE_POINTS_M2 = 6.6, 0.8, 1.2, 22.0
-HEDGE_RADIUS_M, HEDGE_STEP_M, HEDGE_AT_M = 0.16, 0.01, (200.0, 0.0, 0.0)  # int16 reaches 327 m from there
+KERB_M = 3.6
+PAVEMENT_M = 5.4
+HIGH_M = 0.12  # from the middle of the road: its edge, the outer edge of the pavement; height
+LAND_CELL_M = 1.0
+LAND_STEP_M = 0.01
+MARGIN_M = 45.0
+ROUGH_M = 0.05
+ROUGH_FROM_M = 6.0  # of gardens, as a standard deviation; and how far from the road they begin
+HOUSE_M = 14.5
+PLOT_M = 19.0
+APART_M = 13.0  # a house's middle from the road; between plots; between houses at least
+HEDGE_M = 6.6
+HEDGE_WIDE_M = 0.8
+HEDGE_HIGH_M = 1.2
+HEDGE_POINTS_M2 = 22.0
+HEDGE_RADIUS_M = 0.16
+HEDGE_STEP_M = 0.01
+HEDGE_AT_M = (200.0, 0.0, 0.0)  # int16 reaches 327 m from there
 MATERIALS = {"brick": 32, "plaster": 55, "glass": 8, "wood": 25, "tiles": 22, "metal": 45, "concrete": 30, "paving": 26}
 Plot = tuple[float, float, float, float]  # how far along the road and beside it, x and y
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # of z up, as glTF wants it
@@ -40,7 +48,8 @@ Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # 
 
 def main(data: Path) -> None:
     """Write all files."""
-    path, rng = road(), np.random.default_rng(SEED)
+    path = road()
+    rng = np.random.default_rng(SEED)
     (data / "scenes/suburb").mkdir(parents=True, exist_ok=True)
     (data / "trajectories").mkdir(exist_ok=True)
     plots = _plots(path)

@@ -40,7 +40,9 @@ def loft(rings: Iterable[Array]) -> Manifold:
     index = np.arange(count * around).reshape(count, around)
     a, b = index[:-1].ravel(), np.roll(index, -1, axis=1)[:-1].ravel()
     c, d = np.roll(index, -1, axis=1)[1:].ravel(), index[1:].ravel()
-    first, last, step = index[0], index[-1], np.roll(np.arange(around), -1)
+    first = index[0]
+    last = index[-1]
+    step = np.roll(np.arange(around), -1)
     triangles = np.concatenate(
         [
             np.stack([a, b, c], axis=1),
@@ -88,7 +90,9 @@ def prism(outline: ArrayLike, low: float, high: float, axis: str) -> Manifold:
 
 def wheel(x: float, y: float, radius: float, width: float, facets: int = 32) -> Manifold:
     """A wheel on the ground whose middle is at x, y: a tyre with rounded shoulders and a hollow rim on both sides."""
-    half, edge, rim = width / 2, 0.12 * width, 0.62 * radius
+    half = width / 2
+    edge = 0.12 * width
+    rim = 0.62 * radius
     profile = [
         (0.3 * rim, half - 0.02), (rim * 0.9, half - 0.05), (rim, half - 0.005), (radius - edge, half),
         (radius, half - edge), (radius, edge - half), (radius - edge, -half), (rim, 0.005 - half),

@@ -25,7 +25,8 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
 
 REFERENCE = json.loads((ROOT / "data/reference/liu2018.json").read_text())
-BEAMS, LIDARS = (4, 8, 16), (1, 2, 3, 4, 5)
+BEAMS = (4, 8, 16)
+LIDARS = (1, 2, 3, 4, 5)
 SMALL = DetectionObject(name="box", size_m=(0.5, 0.5, 0.5))
 
 
@@ -48,7 +49,8 @@ def vsr_and_detection(rigs: int) -> np.ndarray:
     rng = np.random.default_rng(1)
     rows = []
     for n in range(rigs):
-        lidars, beams = LIDARS[n % 5], BEAMS[n // 5 % 3]
+        lidars = LIDARS[n % 5]
+        beams = BEAMS[n // 5 % 3]
         study = paper_study(lidars, beams, 1)
         poses = study.poses(rng.random((1, int(study.free.sum()))))[0]
         spaces = segment(study.region, study.lidars(poses))

@@ -36,10 +36,13 @@ from tests.oracle import ANGLES, BAND, FANS, PLACES, Line, Tally, along_a_cone, 
 
 Row = tuple[str, int, int, str]  # what, cases, failures, worst error and what else was seen
 SEED = 1
-BATCHES, BATCH = 8, 100_000  # of aimed rays, of a body at a place; and rays of a random batch
+BATCHES = 8
+BATCH = 100_000  # of aimed rays, of a body at a place; and rays of a random batch
 # Rays of a batch; the half-spaces of the spheres are thousands.
 AIMED = {"cube": 30_000, "box": 30_000, "cylinder": 24_000, "mesh": 12_000, "sphere": 1000, "large sphere": 10}
-RANDOM, SOUP_M, SOUP = 2_500_000, (0.02, 0.3, 2.0), 20_000  # rays a scene; sizes of a soup's triangles, their number
+RANDOM = 2_500_000
+SOUP_M = (0.02, 0.3, 2.0)
+SOUP = 20_000  # rays a scene; sizes of a soup's triangles, their number
 EXACT = 20_000  # cases of a kind
 NEAR_M = 1e-3  # a shorter range counts as so long: the loop itself rounds it by 1e-15 m
 PAIRS = 10_000_000  # of cuboids and sensors beside bodies
@@ -59,9 +62,11 @@ def said(what: str, tally: Tally, differ: int = 0) -> Row:
 
 def labels_random(size: float) -> Iterator[Row]:
     """Random rigs and regions of 48,000 cuboids, against 50 digits."""
-    rng, tally = np.random.default_rng(SEED), Tally()
+    rng = np.random.default_rng(SEED)
+    tally = Tally()
     for _ in range(max(int(200 * size), 1)):
-        edge, low = 10 ** rng.uniform(-2, 1, 3), rng.uniform(-1, 1, 3) * 10 ** rng.uniform(0, 4)
+        edge = 10 ** rng.uniform(-2, 1, 3)
+        low = rng.uniform(-1, 1, 3) * 10 ** rng.uniform(0, 4)
         shape = np.array((60, 40, 20))
         region = Region(low, low + shape * edge, np.ones(shape, bool))
         position = low + rng.uniform(-0.5, 1.5, 3) * shape * edge
@@ -72,7 +77,8 @@ def labels_random(size: float) -> Iterator[Row]:
 
 def labels_posed(size: float) -> Iterator[Row]:
     """Sensors on centres, walls and corners, beside them and far away, turned by angles that have gone wrong."""
-    rng, tally = np.random.default_rng(SEED), Tally()
+    rng = np.random.default_rng(SEED)
+    tally = Tally()
     region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25))
     points = points_of(region)
     for number in range(max(int(3000 * size), 6)):
@@ -84,7 +90,10 @@ def labels_posed(size: float) -> Iterator[Row]:
 
 def labels_near(size: float) -> Iterator[Row]:
     """Points on lines that cut a cone, most of them within 1e-15 of it; rows and single points alike."""
-    rng, tally, differ, near = np.random.default_rng(SEED), Tally(), 0, 0
+    rng = np.random.default_rng(SEED)
+    tally = Tally()
+    differ = 0
+    near = 0
     while near < 1_000_000 * size:
         known, exact, points, along = along_a_cone(rng)
         line = Line(points, along)
@@ -104,25 +113,36 @@ def labels_moved(size: float) -> Iterator[Row]:
 
     And where none differs, max VSR that does by more than the cuboids' edges are rounded.
     """
-    rng, pairs, wrong, differ = np.random.default_rng(SEED), 0, 0, 0
-    shape, farthest, off = np.array((60, 40, 20)), 0.0, 0.0
+    rng = np.random.default_rng(SEED)
+    pairs = 0
+    wrong = 0
+    differ = 0
+    shape = np.array((60, 40, 20))
+    farthest = 0.0
+    off = 0.0
     for _ in range(max(int(400 * size), 1)):
         edge = np.array((1, 0.5, 0.2)) * 10 ** rng.uniform(-3, 3)
         by = rng.uniform(-1e7, 1e7, 3)
         here = Region(np.zeros(3), shape * edge, np.ones(shape, bool))
         there = Region(by, by + shape * edge, here.included)
-        position, rpy, fan = rng.uniform(0, 1, 3) * shape * edge, angles(rng), FANS[rng.integers(len(FANS))]
+        position = rng.uniform(0, 1, 3) * shape * edge
+        rpy = angles(rng)
+        fan = FANS[rng.integers(len(FANS))]
         (known, exact), (moved, _) = (sensor(at, rpy, fan) for at in (position, position + by))
-        digit, other = beam_gaps(here, known).ravel(), beam_gaps(there, moved).ravel()
+        digit = beam_gaps(here, known).ravel()
+        other = beam_gaps(there, moved).ravel()
         points = points_of(here)
         ulp = np.spacing(max(np.abs(there.min_m).max(), np.abs(there.max_m).max()))
         for n in np.flatnonzero(digit != other).tolist():
             nearest = min(abs(exact.above(points[n], beam)) for beam in range(len(fan)))
             apart = float(nearest) / (BAND + 4 * ulp / float(np.linalg.norm(points[n] - position)))
-            farthest, wrong, differ = max(farthest, apart), wrong + (apart > 1), differ + 1
+            farthest = max(farthest, apart)
+            wrong = wrong + (apart > 1)
+            differ = differ + 1
         if np.array_equal(digit, other):
             change = abs(max_vsr(there, [moved]) / max_vsr(here, [known]) - 1)
-            off, wrong = max(off, change), wrong + (change > 1e-12 + 4 * ulp / (there.max_m - there.min_m).min())
+            off = max(off, change)
+            wrong = wrong + (change > 1e-12 + 4 * ulp / (there.max_m - there.min_m).min())
         pairs += digit.size * len(fan)
     seen = f", by {farthest:.2f} of the shift's own rounding at most" if differ else ""
     yield (
@@ -137,10 +157,12 @@ def fifty_million(size: float) -> Iterator[Row]:
     """Fifty million cuboids and four LiDARs: neighbours share a subspace where all their beam gaps are equal, only."""
     edge = 0.02 / size ** (1 / 3)
     shape = np.rint(np.array((10.0, 8.0, 5.0)) / edge).astype(int)
-    region, rng = Region(np.zeros(3), shape * edge, np.ones(shape, bool)), np.random.default_rng(SEED)
+    region = Region(np.zeros(3), shape * edge, np.ones(shape, bool))
+    rng = np.random.default_rng(SEED)
     lidars = [sensor(rng.uniform(0, 1, 3) * (10, 8, 5), angles(rng), FANS[0])[0] for _ in range(4)]
     found, (xs, ys, zs) = segment(region, lidars), region.centres()
-    differ, before = int(found.cuboids.sum() != region.included.size), None
+    differ = int(found.cuboids.sum() != region.included.size)
+    before = None
     for x, label in zip(xs, found.label, strict=True):
         points = np.stack(np.meshgrid([x], ys, zs, indexing="ij"), axis=-1).reshape(-1, 3)
         here = np.stack([*(gaps_at(points, one).reshape(label.shape) for one in lidars), label])
@@ -163,7 +185,11 @@ def closed_bodies(size: float) -> Iterator[Row]:
     """Rays aimed at the very vertices and edges of closed meshes, from inside and outside, against half-spaces."""
     with tempfile.TemporaryDirectory() as folder:
         for place in ray_cases.BODIES_PLACES:
-            rng, cases, slipped, off, worst = np.random.default_rng(SEED), 0, 0, 0, 0.0
+            rng = np.random.default_rng(SEED)
+            cases = 0
+            slipped = 0
+            off = 0
+            worst = 0.0
             for name, count in AIMED.items():
                 body = ray_cases.body_at(Path(folder), name, place)
                 batches = max(int(BATCHES * size), 1)
@@ -172,7 +198,8 @@ def closed_bodies(size: float) -> Iterator[Row]:
                     for inside in (True, False):
                         error = ray_cases.cast_aimed(ray_cases.aimed(body, inside, rng, each))
                         hit = np.isfinite(error)
-                        cases, slipped = cases + len(error), slipped + int((~hit).sum())
+                        cases = cases + len(error)
+                        slipped = slipped + int((~hit).sum())
                         off += int((error[hit] > ray_cases.off_m(place)).sum())
                         worst = max(worst, float(error[hit].max()))
             away = f"{np.abs(place).max():g} m from the origin"
@@ -184,11 +211,16 @@ def beside_open3d(size: float) -> Iterator[Row]:
     """Random rays in the paved street and in soups of triangles: every difference above 1 mm is Open3D's error."""
     rng = np.random.default_rng(SEED)
     for name, stage, low, high in _stages(rng):
-        tracer, theirs = Tracer(stage, np.zeros(3)), ray_cases.open3d_scene(stage.vertices_m, stage.triangles)
-        cases, differ, wrong, worst = max(int(RANDOM * size), 1), 0, 0, 0.0
+        tracer = Tracer(stage, np.zeros(3))
+        theirs = ray_cases.open3d_scene(stage.vertices_m, stage.triangles)
+        cases = max(int(RANDOM * size), 1)
+        differ = 0
+        wrong = 0
+        worst = 0.0
         for first in range(0, cases, BATCH):
             count = min(BATCH, cases - first)
-            origins, along = rng.uniform(low, high, (count, 3)), ray_cases.unit(rng.normal(size=(count, 3)))
+            origins = rng.uniform(low, high, (count, 3))
+            along = ray_cases.unit(rng.normal(size=(count, 3)))
             found = ray_cases.differences(tracer, theirs, origins, along)
             hit = np.isfinite(found.truth)
             relative = abs(found.mine[hit] - found.truth[hit]) / np.maximum(found.truth[hit], NEAR_M)
@@ -286,7 +318,8 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     if unknown := set(given.names) - set(CASES):
         parser.error(f"no case is called {', '.join(sorted(unknown))}; allowed: {', '.join(CASES)}")
-    began, found = time.perf_counter(), []
+    began = time.perf_counter()
+    found = []
     for name in given.names or CASES:
         started = time.perf_counter()
         for row in CASES[name](0.01 if given.quick else 1.0):

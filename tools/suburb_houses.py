@@ -105,7 +105,8 @@ def facade(width_m: float, height_m: float, reliefs: Iterable[Relief], wall: str
     cells = [[_cell((a + b) / 2, (c + d) / 2, reliefs, wall) for c, d in pairwise(zs)] for a, b in pairwise(xs)]
     for i, (a, b) in enumerate(pairwise(xs)):
         for k, (c, d) in enumerate(pairwise(zs)):
-            y, material = -cells[i][k][0], cells[i][k][1]
+            y = -cells[i][k][0]
+            material = cells[i][k][1]
             yield material, np.array([[a, y, c], [b, y, c], [b, y, d], [a, y, d]])
             if i and cells[i - 1][k][0] != -y:
                 y0 = -cells[i - 1][k][0]
@@ -123,7 +124,9 @@ def _cell(x: float, z: float, reliefs: Iterable[Relief], wall: str) -> tuple[flo
 
 def roof(house: House) -> Iterable[tuple[str, Array]]:
     """Two slopes with eaves, and the gables below them (triangles, with a corner twice)."""
-    x, y, high = house.width_m / 2, house.depth_m / 2, house.ridge_m
+    x = house.width_m / 2
+    y = house.depth_m / 2
+    high = house.ridge_m
     fall = EAVES_M * (high - house.eaves_m) / y
     for side in (-1.0, 1.0):
         edge = side * (y + EAVES_M), house.eaves_m - fall

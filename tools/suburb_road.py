@@ -18,12 +18,17 @@ PIECES = (
 STEP_M = 0.5
 BEFORE_M = 30.0  # of road behind the place where the drive starts
 LANE_M = -1.6  # the middle of the lane from that of the road, to the left
-SPEED_M_S, SIDEWAYS_M_S2, FORWARD_M_S2 = 9.0, 2.2, 1.6
-STAND_S, DRIVE_S, EVERY_S = 1.0, 60.5, 0.05
+SPEED_M_S = 9.0
+SIDEWAYS_M_S2 = 2.2
+FORWARD_M_S2 = 1.6
+STAND_S = 1.0
+DRIVE_S = 60.5
+EVERY_S = 0.05
 WHEELS = np.array([[1.35, 0.8], [1.35, -0.8], [-1.35, 0.8], [-1.35, -0.8]])  # of a saloon car, in metres
 HILLS = ((0.22, 0.021, 0.013, 0.4), (0.1, -0.017, 0.034, 1.9), (0.03, 0.07, 0.055, 0.9))  # height, per metre, phase
 MOUNDS = ((0.26, 0.71, 0.38, 0.2), (0.24, -0.43, 0.83, 1.3), (0.2, 0.29, -0.97, 2.6), (0.16, 1.27, 0.61, 0.7))
-MOUNDS_FROM_M, MOUNDS_OVER_M = 5.5, 2.0  # from the middle of the road: where gardens begin, and over how far they rise
+MOUNDS_FROM_M = 5.5
+MOUNDS_OVER_M = 2.0  # from the middle of the road: where gardens begin, and over how far they rise
 
 
 class Road(NamedTuple):

@@ -73,8 +73,10 @@ class Rigs:
 
 def drawn_places(study: Study, size_m: Array, count: int) -> Iterator[Array]:
     """(count, 4) places and headings of an object in each ring, clear of the body and of what is excluded."""
-    center, around = study.reference_m, float(np.hypot(*size_m[:2])) / 2
-    region, outline = study.region, np.append(study.outline_m, study.outline_m[0])
+    center = study.reference_m
+    around = float(np.hypot(*size_m[:2])) / 2
+    region = study.region
+    outline = np.append(study.outline_m, study.outline_m[0])
     low, high = region.min_m[:2] + around, region.max_m[:2] - around
     layers = max(math.ceil(size_m[2] / region.cuboid_m[2]), 1)
     taken = (~region.included[:, :, :layers]).any(axis=2)
@@ -124,7 +126,8 @@ def drawn_rigs(study: Study, count: int) -> tuple[list[Rig], list[bool]]:
 
 def measured(study: Study, rig: Rig, sizes: dict[str, Array]) -> dict[str, Array]:
     """What each measure says of a rig."""
-    lidars, region = rig_lidars(rig), study.region
+    lidars = rig_lidars(rig)
+    region = study.region
     paper = segment(region, lidars)
     found = {
         "max_vsr": np.float64(vsr_m(paper).max()),
@@ -267,7 +270,8 @@ def draw(rigs: Rigs, path: Path) -> None:
     grid = np.full((len(keys), len(cells)), np.nan)
     for i, key in enumerate(keys):
         for j, (item, ring) in enumerate(cells):
-            truth, value = outcome(rigs.undetected, item, ring), of_measure(rigs, key, item, ring)
+            truth = outcome(rigs.undetected, item, ring)
+            value = of_measure(rigs, key, item, ring)
             if np.ptp(truth) >= SPREAD and np.ptp(value) > 0:
                 grid[i, j] = correlation(value, truth)[0]
     axes = bottom.subplots()

@@ -57,7 +57,8 @@ def simulated_frames(
     trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
     _check_all(rig.mounts, duration_ns)
     tasks = build_tasks(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
-    runner, origin = TaskRunner.of(options, len(tasks)), scene.file.geo_origin
+    runner = TaskRunner.of(options, len(tasks))
+    origin = scene.file.geo_origin
     return [
         in_time_order([_data_stream(task, runner, on_truth), _housekeeping_stream(task, trajectory, origin)])
         for task in tasks

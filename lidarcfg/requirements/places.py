@@ -86,7 +86,8 @@ class Stand:
 
     def holds(self, places: Array) -> Flags:
         """(P,) whether places (P, 4) are in the zone and do not overlap the body."""
-        zone, body = self.zone, self.zone.body
+        zone = self.zone
+        body = zone.body
         kept = zone.allows(places[:, :2])
         if zone.box_m is not None:
             low, high = self._reach_m(places[:, 3])
@@ -143,7 +144,8 @@ class Stand:
     @cached_property
     def edge(self) -> Array:
         """(P, 4) places at the least and the greatest distance from the body: base places near these, pushed there."""
-        body, within_m = self.zone.body, self.zone.within_m
+        body = self.zone.body
+        within_m = self.zone.within_m
         if body is None or within_m is None:
             return np.empty((0, 4))
         middle_m = body.to_points_m(self.base[:, :2])

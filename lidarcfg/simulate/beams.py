@@ -84,7 +84,9 @@ def passing_beams(place: Array, target: Target, mount: Mount, phase: int, obstac
     margin = np.maximum(MARGIN * (high - low), MARGIN_RAD)
     passes_rad = _angles(start_m + float(np.linalg.norm(middle)) * way, middle_rad)
     near = ((passes_rad >= low - margin) & (passes_rad <= high + margin)).all(axis=1)
-    way, gate, at_rad = way[near], gate[near], passes_rad[near]
+    way = way[near]
+    gate = gate[near]
+    at_rad = passes_rad[near]
     starts_m = origin_m + start_m[near]
     range_m = _ranges(inverse(T_vehicle_object), starts_m, way, target, fires.range_m[1])
     hits = np.isfinite(range_m)
