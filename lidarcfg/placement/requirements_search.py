@@ -318,6 +318,17 @@ class RequirementsRun(SearchRun):
         self._verify_s = max(self._verify_s, time.perf_counter() - began)
         return found
 
+    def verify_best(self) -> bool:
+        """Whether the best rig meets all requirements, at all places."""
+        if self._is_best_verified:
+            return True
+        if not meets(self.best_cost) or self._missed():
+            return False
+        found = self.verdict_on(self.best_x)
+        if found.passed:
+            self._verified = Verified(self.best_x.copy(), self.best_cost, found)
+        return found.passed
+
     def _mounts(self, x: Array) -> Sequence[Mount]:
         """Those of the rig at a point."""
         return self.study.rig(self.study.poses(x[None])[0]).mounts
@@ -328,7 +339,9 @@ class RequirementsRun(SearchRun):
         if self._is_best_verified:
             self._schedule(self._interval)
             return
-        if self._add_missed():
+        if missed := self._missed():
+            for number, places in missed.items():
+                self._add(number, places)
             self._restart(evaluator, self._points)
             return
         found = self.verdict_on(self.best_x)
@@ -354,15 +367,11 @@ class RequirementsRun(SearchRun):
         self._interval = interval
         self._next_check = self.evaluations + interval
 
-    def _add_missed(self) -> bool:
-        """Have places of the base grid at which the best rig fails count in trials. Returns whether there are any."""
+    def _missed(self) -> dict[int, Array]:
+        """Places of the base grid at which the best rig fails, by requirement: of those that trials leave out."""
         mounts = self._mounts(self.best_x)
-        added = False
-        for number, judge in enumerate(self._verifier.judges):
-            if isinstance(judge, ObjectJudge) and len(places := judge.missed(mounts)):
-                self._add(number, places)
-                added = True
-        return added
+        judges = [(n, judge) for n, judge in enumerate(self._verifier.judges) if isinstance(judge, ObjectJudge)]
+        return {n: places for n, judge in judges if len(places := judge.missed(mounts))}
 
     def _add(self, number: int, places: Array) -> None:
         known = self._more_places.get(number)

@@ -223,26 +223,34 @@ def print_cheapest(found: "Cheapest") -> None:
     """Print the answer, then the cheaper combinations, or those that come closest if none meets all."""
     console = terminal()
     asked = found.combination
-    out = f"; {found.excluded:,} cannot meet all" if found.excluded else ""
     if found.meets:
         console.print(f"the cheapest rig found that meets all requirements: {asked.sensors}, for {price(asked.price)}")
     else:
         console.print(f"no rig found meets all requirements; {asked.sensors}, for {price(asked.price)}, comes closest")
     searched = sum(math.isfinite(one.shortfall) for one in found.tried)
     console.print(
-        f"{searched:,} of {counted(found.combinations, 'combination')} searched{out}; "
+        f"{searched:,} of {counted(found.combinations, 'combination')} searched; "
         f"{found.evaluations:,} evaluations, {found.seconds:.1f} s"
     )
-    shown = [one for one in found.tried if one.price < asked.price] if found.meets else _closest(found.tried)
-    if not shown:
-        return
+    cheaper = [one for one in found.tried if one.price < asked.price]
+    shown = [one for one in cheaper if not one.excluded] if found.meets else _closest(found.tried)
+    if shown:
+        _print_combinations(shown, "cheaper combinations" if found.meets else "the closest combinations")
+    first = next((one for one in found.tried if one.excluded), None)
+    if first:
+        console.print(f"{counted(found.excluded, 'combination')} cannot meet all, such as {truncate(first.name)}:")
+        console.print(f"{first.excluded}; the others are in {COMBINATIONS}")
+
+
+def _print_combinations(shown: "list[Tried]", title: str) -> None:
+    console = terminal()
     table = Table(
         Column("price", justify="right"),
         Column("combination", overflow="fold"),
         Column("evaluations", justify="right"),
         Column("short by", justify="right"),
         Column("misses", overflow="fold"),
-        title="cheaper combinations" if found.meets else "the closest combinations",
+        title=title,
         box=SIMPLE,
     )
     for one in shown[:SHOWN]:
@@ -263,8 +271,6 @@ def _closest(tried: "tuple[Tried, ...]") -> "list[Tried]":
 
 
 def _missed(one: "Tried") -> str:
-    if one.excluded:
-        return one.excluded
     if not math.isfinite(one.shortfall):
         return "not searched"
     if one.failing:
