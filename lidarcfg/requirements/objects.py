@@ -104,6 +104,15 @@ class Tried:
 
 
 @dataclass(frozen=True)
+class Clustered:
+    """The clusters that a rig gets at the base grid's places, which take long to find."""
+
+    mounts: tuple[Mount, ...]
+    cap: int
+    measured: Measured
+
+
+@dataclass(frozen=True)
 class PlaceCounts:
     """What an object reaches at N positions of the base grid, each at its worst heading."""
 
@@ -147,6 +156,7 @@ class ObjectJudge:
         self._robust = robust if robust and robust.drawn else None
         self._kept = kept or KeptCounts(self.places, item.target, obstacles)
         self._which = which
+        self._latest: Clustered | None = None
 
     @property
     def work(self) -> int:
@@ -258,7 +268,11 @@ class ObjectJudge:
     def measured(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Measured:
         """What a rig reaches at the base grid's places, exact below the cap."""
         if self.item.cluster_m is not None:
-            return self._clusters(self.places, mounts, cap, on_places)
+            known = self._latest
+            if known is None or known.mounts != tuple(mounts) or known.cap < cap:
+                known = Clustered(tuple(mounts), cap, self._clusters(self.places, mounts, cap, on_places))
+                self._latest = known
+            return known.measured
         lowest = self._kept.lowest(mounts, cap, self.item.wanted, on_places, self._which)
         return Measured(self.places, reached(lowest.counts, self.item.lost, self.item.sensors), lowest)
 
