@@ -196,7 +196,7 @@ class ObjectJudge:
             off[n, axis] = min(off[n, axis], self.measured_at(lowest, moved, cap).values.min())
         clusters = item.cluster_m is not None
         return MountMargins(
-            what="Returns of one cluster" if clusters else "Returns",
+            what=f"Returns{' of one cluster' if clusters else ''} in the place that decides",
             unit="returns",
             demanded=item.returns,
             at_most=False,

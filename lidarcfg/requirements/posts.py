@@ -272,18 +272,15 @@ class PostRequirement:
             places = np.ascontiguousarray(self.posts.counted[unsure])
             seen[unsure] = lowest_at(places, self.target, moved[n : n + 1], self.obstacles, 1, 1).counts[:, 0] > 0
             off[n, axis] = np.maximum(off[n, axis], self._farthest_m(seen))
-        where = "over all posts"
         return tuple(
             MountMargins(
-                f"{what.capitalize()}, in metres",
-                "m",
-                limit_m,
-                True,
-                whole[k],
-                without[:, k],
-                off[..., k],
-                where,
-                where,
+                what=f"{what.capitalize()} at the worst azimuth, in metres",
+                unit="m",
+                demanded=limit_m,
+                at_most=True,
+                whole=whole[k],
+                without=without[:, k],
+                off=off[..., k],
             )
             for k, (what, limit_m, *_) in enumerate(self._limits(self._visibility(number > self.lost)))
         )

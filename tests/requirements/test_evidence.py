@@ -191,7 +191,7 @@ def test_a_post_that_one_sensor_alone_sees_breaks_with_it(tmp_path):
     assert "each alone breaks it: front" in (tmp_path / "verdict.xml").read_text()
     page = (tmp_path / "out" / "verdict.html").read_text()
     assert "The loss of any of these alone breaks it: front." in page
-    assert "First seen, in metres, in the place that decides: at most 1.00 demanded" in page
+    assert "First seen at the worst azimuth, in metres: at most 1.00 demanded" in page
 
 
 def test_hidden_heights_add_up_to_the_shadow(found):
