@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.study import load_study
+from lidarcfg.report.html import FailCell
+from lidarcfg.report.verification import margins_table, verdict_table
 from lidarcfg.requirements.evidence import verification
-from lidarcfg.requirements.margins import OFF_M, OFF_RAD
+from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.objects import ObjectJudge, reached
 from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
@@ -233,3 +236,22 @@ def test_an_evaluation_begins_with_the_verdict(files):
     # 1 m ahead the body's edge lies 11.3° below the sensors: the beams at 11° are the lowest that pass it
     assert posts[0.5]["first_seen_m"][0] == pytest.approx(1.1 / np.tan(np.radians(11)) - 1, abs=0.12)
     assert posts[1.0]["first_seen_m"][0] == pytest.approx(0.6 / np.tan(np.radians(11)) - 1, abs=0.12)
+
+
+def test_a_verdicts_table_has_a_column_of_losses_only_if_there_are_any():
+    held = RequirementVerdict("a", "object", True, "returns", 1, 2, False, 0.0)
+    broken = replace(held, breaking=("left",))
+    assert verdict_table(Verdict((held, replace(broken, passed=False)))).head[-1] == "phases there"
+    both = verdict_table(Verdict((held, broken)))
+    assert both.head[-1] == "sensors lost there; whose loss breaks it"
+    assert [row[-1] for row in both.rows] == ["", "each alone breaks it: left"]
+
+
+def test_a_table_of_margins_marks_what_misses_and_what_was_counted_no_further(files):
+    """The cells of a sensor without which 5 of 10 are left; a lone sensor has no loss to tell of."""
+    rig = load_rig(files / "rig.yaml")
+    found = MountMargins("Returns", "returns", 10, False, 25, np.array([5.0, np.nan]), np.full((2, 6), 12.0), cap=20)
+    table = margins_table(found, rig)
+    assert [[str(cell) for cell in row[1:3]] for row in table.rows] == [["5", "12"], ["–", "12"]]
+    assert [isinstance(row[1], FailCell) for row in table.rows] == [True, False]
+    assert "at least 10 demanded, ≥ 20 with all mounts in place" in table.caption
