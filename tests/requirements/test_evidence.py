@@ -40,7 +40,7 @@ sensors:
 THIRD = "  - {name: front, model: vlp-16, position_m: [1.05, 0, 0.4], rpy_deg: [0, 0, 0]}\n"
 BLIND = """
 requirements:
-  - {name: post, post_height_m: 1, first_seen_at_most_m: 1.6, gap_at_most_m: 0.5, within_m: [0, 3], sector_deg: [20, 27], lost: LOST}
+  - {name: post, post_height_m: 1, first_seen_at_most_m: 1.6, gap_at_most_m: 0.5, within_m: [0, 3], sector_deg: [20, 24], lost: LOST}
   - {name: shadow, shadow_at_most_m3: 2, height_m: [0, 1], within_m: [0, 2], lost: LOST}
 """
 AHEAD = """
