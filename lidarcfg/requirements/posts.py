@@ -299,7 +299,8 @@ class PostRequirement:
         if self.first_seen_at_most_m is not None:
             out.append(("first seen", self.first_seen_at_most_m, seen.first_seen_m, seen.first_seen_m))
         if self.gap_at_most_m is not None:
-            out.append(("longest gap", self.gap_at_most_m, seen.longest_gap_m, seen.longest_gap_at_m))
+            gap_m = np.where(np.isinf(seen.first_seen_m), np.inf, seen.longest_gap_m)  # never seen: nothing but a gap
+            out.append(("longest gap", self.gap_at_most_m, gap_m, seen.longest_gap_at_m))
         return out
 
     def _verdict(
