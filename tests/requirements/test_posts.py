@@ -34,13 +34,6 @@ def test_a_post_is_seen_where_a_cone_is_between_its_ends():
     assert 0 < seen.gap_share < 1
 
 
-def test_nothing_is_seen_above_all_posts():
-    posts = PostPlaces.around(BODY, 0.0, (0.0, 8.0))
-    seen = post_visibility(posts, 0.5, cones(0.0), NO_OBSTACLES)
-    assert np.isinf(seen.first_seen_m).all()
-    assert (seen.seen_to_m == 0).all()
-
-
 def test_what_is_never_seen_is_nothing_but_a_gap():
     """A rig that looks over all posts misses a limit of gaps alone, too."""
     posts = PostPlaces.around(BODY, 0.0, (0.0, 2.0))
@@ -50,6 +43,13 @@ def test_what_is_never_seen_is_nothing_but_a_gap():
     assert math.isinf(found.reached)
     assert found.shortfall == 1
     assert np.isinf(item.margins(cones(0.0))[0].off).all()
+
+
+def test_nothing_is_seen_above_all_posts():
+    posts = PostPlaces.around(BODY, 0.0, (0.0, 8.0))
+    seen = post_visibility(posts, 0.5, cones(0.0), NO_OBSTACLES)
+    assert np.isinf(seen.first_seen_m).all()
+    assert (seen.seen_to_m == 0).all()
 
 
 def test_with_one_lost_of_two():
