@@ -23,6 +23,7 @@ from lidarcfg.placement.requirements_evaluator import (
 from lidarcfg.placement.search_run import INFEASIBLE
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.sweep import Processes
+from lidarcfg.requirements import sensors
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.scenarios import ScenarioRequirement
 from lidarcfg.requirements.sensors import lowest_at
@@ -30,8 +31,7 @@ from lidarcfg.requirements.target import box_target
 from lidarcfg.requirements.trials import RigTrials
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.firing import CycleBeams
-from lidarcfg.simulate.returns import PHASES
-from lidarcfg.world.obstacles import NO_OBSTACLES
+from lidarcfg.simulate.returns import PHASES, returns
 from tests.returns_cases import mount
 
 YARD = """
@@ -408,7 +408,8 @@ def test_no_sensor_gets_more_returns_than_the_most(model):
         at_m = np.array([0.0, 0.0, size_m[2] / 2]) + distance_m * way / np.linalg.norm(way)
         placed = mount(model, tuple(at_m.tolist()), rng.uniform(-180, 180, 3))
         target = box_target(tuple(size_m.tolist()))
-        got = lowest_at(np.zeros((1, 4)), target, [placed], NO_OBSTACLES, 1 << 20, 1).counts.max()
+        scanners = sensors.scanners_of([placed])
+        got = returns(np.zeros((1, 4)), target, scanners, sensors.poses_of([placed])).counts.max()
         most = most_returns(beams, 0.5 * float(np.linalg.norm(size_m)), distance_m)
         assert got <= most
         closest = max(closest, got / most)

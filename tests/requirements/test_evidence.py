@@ -11,14 +11,17 @@ from lidarcfg.placement.study import load_study
 from lidarcfg.report.html import FailCell
 from lidarcfg.report.verification import margins_table, verdict_table
 from lidarcfg.requirements.evidence import verification
+from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.objects import ObjectJudge, reached
+from lidarcfg.requirements.posts import PostPlaces, PostRequirement
 from lidarcfg.requirements.sensors import lowest_at
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
-from tests.requirements.cases import ALL, AROUND, random_rig, requirement
+from tests.requirements.cases import ALL, AROUND, BODY, random_rig, requirement
+from tests.returns_cases import mount
 
 STUDY = """
 region: {min_m: [-10, -10, 0], max_m: [10, 10, 4], cuboid_m: [1, 1, 1]}
@@ -195,6 +198,18 @@ def test_a_post_that_one_sensor_alone_sees_breaks_with_it(tmp_path):
     page = (tmp_path / "out" / "verdict.html").read_text()
     assert "The loss of any of these alone breaks it: front." in page
     assert "First seen at the worst azimuth, in metres: at most 1.00 demanded" in page
+
+
+def test_what_is_never_seen_is_nothing_but_a_gap():
+    """A rig that looks over all posts misses a limit of gaps alone, too."""
+    posts = PostPlaces.around(Footprint.of(BODY), 0.0, (0.0, 2.0))
+    item = PostRequirement("post", posts, 0.3, None, 0.3, 2.0, AROUND)
+    high = (mount("vlp-16", (0.0, 0.0, 3.0), (0, 0, 0)),)
+    found = item.judge(high)
+    assert not found.passed
+    assert np.isinf(found.reached)
+    assert found.shortfall == 1
+    assert np.isinf(item.margins(high)[0].off).all()
 
 
 def test_hidden_heights_add_up_to_the_shadow(found):
