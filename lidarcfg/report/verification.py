@@ -118,16 +118,15 @@ def margins_table(found: MountMargins, rig: Rig) -> Table:
         rows.append([truncate(mount.name), *(_margin(value, found) for value in (without, *off))])
     units = f"{100 * OFF_M:g} cm", f"{math.degrees(OFF_RAD):g}°"
     head = ("mount", "lost", *(f"{name} {units[axis > 2]} off" for axis, name in enumerate(COORDINATES)))
-    caption = (
-        f"{found.what}, in the place that decides: at {'most' if found.at_most else 'least'} "
-        f"{figure(found.demanded, found.unit)} demanded, {_margin(found.whole, found)} with all mounts in place; "
-        f"with a sensor lost, {found.where_lost}; with one coordinate of its mount off, either way, {found.where_off}"
-    )
+    limit = f"at {'most' if found.at_most else 'least'} {figure(found.demanded, found.unit)} demanded"
+    lost = ", ".join(filter(None, ["with a sensor lost", found.where_lost]))
+    off = ", ".join(filter(None, ["with one coordinate of its mount off, either way", found.where_off]))
+    caption = f"{found.what}: {limit}, {_margin(found.whole, found)} with all mounts in place; {lost}; {off}"
     return Table(caption, head, rows)
 
 
 def _margin(value: float, found: MountMargins) -> str:
-    text = f"{'≥ ' if value >= found.cap else ''}{figure(value, found.unit)}"
+    text = f"≥ {figure(found.cap, found.unit)}" if found.cap <= value < math.inf else figure(value, found.unit)
     return text if found.meets(value) else FailCell(text)
 
 

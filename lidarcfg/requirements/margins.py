@@ -26,8 +26,8 @@ class MountMargins:
     whole: float  # with all mounts in place; inf: never, as below
     without: Array  # (mounts,) NaN: no sensor is left
     off: Array  # (mounts, 6) the worse of both ways
-    where_lost: str  # the places that `without` is of
-    where_off: str  # and those of `off`
+    where_lost: str = ""  # the places that `without` is of, if not of all
+    where_off: str = ""  # and those of `off`
     cap: float = math.inf  # from which on values are lower bounds
 
     def meets(self, value: float) -> bool:

@@ -112,6 +112,15 @@ class Tried:
 
 
 @dataclass(frozen=True)
+class Clustered:
+    """The clusters that a rig gets at the base grid's places, which take long to find."""
+
+    mounts: tuple[Mount, ...]
+    cap: int
+    measured: Measured
+
+
+@dataclass(frozen=True)
 class PlaceCounts:
     """What an object reaches at N positions of the base grid, each at its worst heading."""
 
@@ -155,6 +164,7 @@ class ObjectJudge:
         self._robust = robust if robust and robust.drawn else None
         self._kept = kept or KeptCounts(self.places, item.target, obstacles)
         self._which = which
+        self._latest: Clustered | None = None
 
     @property
     def work(self) -> int:
@@ -194,7 +204,7 @@ class ObjectJudge:
             off[n, axis] = min(off[n, axis], self.measured_at(lowest, moved, cap).values.min())
         clusters = item.cluster_m is not None
         return MountMargins(
-            what="Returns of one cluster" if clusters else "Returns",
+            what=f"Returns{' of one cluster' if clusters else ''} in the place that decides",
             unit="returns",
             demanded=item.returns,
             at_most=False,
@@ -288,7 +298,11 @@ class ObjectJudge:
     def measured(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Measured:
         """What a rig reaches at the base grid's places, exact below the cap."""
         if self.item.cluster_m is not None:
-            return self._clusters(self.places, mounts, cap, on_places)
+            known = self._latest
+            if known is None or known.mounts != tuple(mounts) or known.cap < cap:
+                known = Clustered(tuple(mounts), cap, self._clusters(self.places, mounts, cap, on_places))
+                self._latest = known
+            return known.measured
         lowest = self._kept.lowest(mounts, cap, self.item.wanted, on_places, self._which)
         return Measured(self.places, reached(lowest.counts, self.item.lost, self.item.sensors), lowest)
 

@@ -272,18 +272,15 @@ class PostRequirement:
             places = np.ascontiguousarray(self.posts.counted[unsure])
             seen[unsure] = lowest_at(places, self.target, moved[n : n + 1], self.obstacles, 1, 1).counts[:, 0] > 0
             off[n, axis] = np.maximum(off[n, axis], self._farthest_m(seen))
-        where = "over all posts"
         return tuple(
             MountMargins(
-                f"{what.capitalize()}, in metres",
-                "m",
-                limit_m,
-                True,
-                whole[k],
-                without[:, k],
-                off[..., k],
-                where,
-                where,
+                what=f"{what.capitalize()} at the worst azimuth, in metres",
+                unit="m",
+                demanded=limit_m,
+                at_most=True,
+                whole=whole[k],
+                without=without[:, k],
+                off=off[..., k],
             )
             for k, (what, limit_m, *_) in enumerate(self._limits(self._visibility(number > self.lost)))
         )
@@ -302,7 +299,8 @@ class PostRequirement:
         if self.first_seen_at_most_m is not None:
             out.append(("first seen", self.first_seen_at_most_m, seen.first_seen_m, seen.first_seen_m))
         if self.gap_at_most_m is not None:
-            out.append(("longest gap", self.gap_at_most_m, seen.longest_gap_m, seen.longest_gap_at_m))
+            gap_m = np.where(np.isinf(seen.first_seen_m), np.inf, seen.longest_gap_m)  # never seen: nothing but a gap
+            out.append(("longest gap", self.gap_at_most_m, gap_m, seen.longest_gap_at_m))
         return out
 
     def _verdict(

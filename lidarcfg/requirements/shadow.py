@@ -117,32 +117,32 @@ class ShadowRequirement:
             whole=whole_m3,
             without=self._without_each(seen),
             off=off,
-            where_lost="over all points",
-            where_off="over all points",
         )
 
     def _worst_m3(self, seen: NDArray[np.bool_]) -> float:
         """The volume that is hidden in the worst case from sensors that see points as `seen` (sensors, N) says."""
-        hidden = [int((~seen[kept].any(axis=0)).sum()) for kept in cases(len(seen), self.lost)]
-        return max(hidden) * self.cell_m3
+        return max(self._hidden_m3(seen[kept]) for kept in cases(len(seen), self.lost))
 
     def _without_each(self, seen: NDArray[np.bool_]) -> Array:
         """(sensors,) the volume that is hidden without each of them; NaN: none is left."""
         if len(seen) == 1:
             return np.full(1, np.nan)
-        left = [int((~np.delete(seen, n, axis=0).any(axis=0)).sum()) for n in range(len(seen))]
-        return np.array(left) * self.cell_m3
+        return np.array([self._hidden_m3(np.delete(seen, n, axis=0)) for n in range(len(seen))])
+
+    def _hidden_m3(self, seen: NDArray[np.bool_]) -> float:
+        """The volume that is hidden from all of some sensors, rounded so that it can equal what is allowed."""
+        return round(int((~seen.any(axis=0)).sum()) * self.cell_m3, 9)
 
     def judged_by(self, seen: NDArray[np.bool_], names: Sequence[str] = ()) -> RequirementVerdict:
         """The verdict on sensors, with these names, that see points as `seen` (sensors, N) says."""
         ways = cases(len(seen), self.lost)
-        hidden = [~seen[kept].any(axis=0) for kept in ways]
-        volumes = [float(one.sum()) * self.cell_m3 for one in hidden]
+        volumes = [self._hidden_m3(seen[kept]) for kept in ways]
         worst = int(np.argmax(volumes))
         value = volumes[worst]
+        hidden = np.flatnonzero(~seen[ways[worst]].any(axis=0))
         place = None
-        if hidden[worst].any():
-            points = self.points_m[hidden[worst]]
+        if len(hidden):
+            points = self.points_m[hidden]
             distance_m = self.body.to_points_m(points[:, :2])
             nearest = int(distance_m.argmin())
             place = WorstPlace(float(points[nearest, 0]), float(points[nearest, 1]), None, float(distance_m[nearest]))

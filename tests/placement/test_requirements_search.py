@@ -7,7 +7,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from lidarcfg.placement.achievable import unachievable
+from lidarcfg.packets.families import pattern
+from lidarcfg.placement.achievable import most_returns, unachievable
 from lidarcfg.placement.cheapest import cheapest
 from lidarcfg.placement.combinations import distinct_options, options
 from lidarcfg.placement.optimize import optimize
@@ -22,11 +23,16 @@ from lidarcfg.placement.requirements_search import (
 from lidarcfg.placement.search_run import INFEASIBLE
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.sweep import Processes
+from lidarcfg.requirements import sensors
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.scenarios import ScenarioRequirement
 from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.target import box_target
 from lidarcfg.requirements.trials import RigTrials
 from lidarcfg.requirements.verify import Verifier
+from lidarcfg.sensors.firing import CycleBeams
+from lidarcfg.simulate.returns import PHASES, returns
+from tests.returns_cases import mount
 
 YARD = """
 region: {{min_m: [-8, -8, 0], max_m: [8, 8, 4], cuboid_m: [1, 1, 1]}}
@@ -430,6 +436,74 @@ def test_what_no_rig_can_meet_is_said(study):
     assert "no range exceeds 3 m" in unachievable(near)["behind the slit"]
     dear = study(CHOICE.replace("RETURNS", "10").replace("13000", "3999"))
     assert unachievable(dear) == {"budget": "the cheapest rig costs 4,000"}
+
+
+def beams_by_hand(step_deg=0.2):
+    """Sixteen beams 2° apart that all start at one point, once every `step_deg`."""
+    none = np.zeros(16)
+    heads_rad = np.radians(np.arange(0.0, 360.0, step_deg))
+    elevation_rad = np.radians(np.arange(-15.0, 16.0, 2.0))
+    start_m = np.zeros((16, 3))
+    return CycleBeams(
+        heads_rad, math.radians(step_deg), 1, none, none, none, elevation_rad, start_m, np.empty(0, np.int32)
+    )
+
+
+def test_the_most_returns_of_a_ball_by_hand():
+    """A ball 10° wide has six of the beams. At 13° and 15° it is 51 steps wide, nearer to the horizon 50; and two more.
+
+    asin(sin 5° / cos 15°) is 5.18°, asin(sin 5° / cos 11°) 5.09°. A ball around the sensor may get all.
+    """
+    beams = beams_by_hand()
+    assert most_returns(beams, math.sin(math.radians(5.0001)), 1.0) == 2 * 53 + 4 * 52
+    assert most_returns(beams, 1.0, 1.0) == 16 * 1800
+    beside = beams._replace(start_m=np.full((16, 3), 0.01))
+    assert most_returns(beside, 0.05, 1.0) == most_returns(beams, 0.05 + 0.01 * math.sqrt(3), 1.0)
+
+
+@pytest.mark.parametrize("model", ["vlp-16", "os0-32", "mid-360"])
+def test_no_sensor_gets_more_returns_than_the_most(model):
+    """However near and far a box is, and however the sensor is turned; counted as verdicts are."""
+    rng = np.random.default_rng(5)
+    one = mount(model, (0.0, 0.0, 0.0), (0, 0, 0))
+    beams = pattern(one).beams(one.sensor, PHASES)
+    closest = 0.0
+    for _ in range(12):
+        size_m = rng.uniform(0.2, 2.0, 3)
+        distance_m = rng.uniform(0.3, 10)
+        way = rng.normal(size=3)
+        at_m = np.array([0.0, 0.0, size_m[2] / 2]) + distance_m * way / np.linalg.norm(way)
+        placed = mount(model, tuple(at_m.tolist()), rng.uniform(-180, 180, 3))
+        target = box_target(tuple(size_m.tolist()))
+        scanners = sensors.scanners_of([placed])
+        got = returns(np.zeros((1, 4)), target, scanners, sensors.poses_of([placed])).counts.max()
+        most = most_returns(beams, 0.5 * float(np.linalg.norm(size_m)), distance_m)
+        assert got <= most
+        closest = max(closest, got / most)
+    assert closest > 0.2
+
+
+def test_returns_that_no_rig_gets_are_said(study):
+    """Two VLP-16 fire 1809 times 16 beams a revolution each, as one cycle takes 55.296 µs; the crates may stand among them."""
+    every = 1809 * 16
+    near = CHOICE.replace("[vlp-16, vlp-32c, none]", "[vlp-16]")
+    for bound, wider in {"[0, 0.4, 1.5]": "[0, -3, 0.4]", "[0.5, 0.4,": "[5, 3,"}.items():
+        near = near.replace(bound, wider).replace(bound.replace("0.4,", "-0.4,"), wider)
+    for more, most, who in [
+        ("", 2 * every, "the sensors together get"),
+        ("\n    lost: 1", every, "the sensors together get"),
+        ("\n    sensors: 2", every, "2 of the sensors get, each alone,"),
+        ("\n    sensors: 2\n    lost: 1", 0, "2 of the sensors get, each alone,"),
+    ]:
+        said = unachievable(study(near.replace("RETURNS", f"{most + 1}{more}")))
+        assert said["crates ahead"].startswith(f"{who} at most {most:,} returns")
+        assert not most or "crates ahead" not in unachievable(study(near.replace("RETURNS", f"{most}{more}")))
+    many = SLIT.replace(
+        "returns: 20", "returns: 100000"
+    )  # posts 4.95 to 5.05 m to the left, their middles 0.25 m lower
+    assert unachievable(study(many))["behind the slit"].endswith("from 5.1 m away")
+    some = unachievable(study(many.replace("returns:", "at_least: 0.5\n    returns:")))
+    assert some["behind the slit"].endswith("from 5.0 m away")
 
 
 def test_workers_find_the_same(study):

@@ -1,19 +1,27 @@
 """What shows a verdict: counts on the map, views, single failures and mounts that are off, beside the counts alone."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lidarcfg.placement.study import load_study
-from lidarcfg.requirements.evidence import OFF_M, OFF_RAD, verification
+from lidarcfg.report.html import FailCell
+from lidarcfg.report.verification import margins_table, verdict_table
+from lidarcfg.requirements.evidence import verification
+from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.objects import ObjectJudge, reached
+from lidarcfg.requirements.posts import PostPlaces, PostRequirement
 from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
-from tests.requirements.cases import ALL, AROUND, random_rig, requirement
+from tests.requirements.cases import ALL, AROUND, BODY, random_rig, requirement
+from tests.returns_cases import mount
 
 STUDY = """
 region: {min_m: [-10, -10, 0], max_m: [10, 10, 4], cuboid_m: [1, 1, 1]}
@@ -31,6 +39,16 @@ RIG = """name: two
 sensors:
   - {name: left, model: vlp-16, position_m: [0, 0.5, 1.6], rpy_deg: [0, 0, 0]}
   - {name: right, model: vlp-16, position_m: [0, -0.5, 1.6], rpy_deg: [0, 0, 0]}
+"""
+THIRD = "  - {name: front, model: vlp-16, position_m: [1.05, 0, 0.4], rpy_deg: [0, 0, 0]}\n"
+BLIND = """
+requirements:
+  - {name: post, post_height_m: 1, first_seen_at_most_m: 1.6, gap_at_most_m: 0.5, within_m: [0, 3], sector_deg: [20, 24], lost: LOST}
+  - {name: shadow, shadow_at_most_m3: 2, height_m: [0, 1], within_m: [0, 2], lost: LOST}
+"""
+AHEAD = """
+requirements:
+  - {name: post ahead, post_height_m: 0.5, first_seen_at_most_m: 1, within_m: [0, 2], sector_deg: [-20, 20]}
 """
 
 
@@ -76,22 +94,122 @@ def test_views_have_the_counts_of_the_verdict(found):
     assert post.verdict.reached == np.inf
 
 
-def test_margins_are_those_of_rigs_without_a_sensor_and_with_one_moved():
-    item = requirement(returns=30)
+def without(mounts, n):
+    return tuple(mount for m, mount in enumerate(mounts) if m != n)
+
+
+def moved(mounts, n, axis, way):
+    """A rig one of whose mounts is off along x, y or z; or in roll, pitch or yaw, if it is upright and faces ahead."""
+    position_m = list(mounts[n].position_m)
+    rpy_rad = list(mounts[n].rpy_rad)
+    if axis < 3:
+        position_m[axis] += way * OFF_M
+    else:
+        assert not any(rpy_rad)
+        rpy_rad[axis - 3] += way * OFF_RAD
+    off = replace(mounts[n], position_m=tuple(position_m), rpy_rad=tuple(rpy_rad))
+    return (*mounts[:n], off, *mounts[n + 1 :])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"sensors": 2},
+        {"at_least": 0.8},
+        {"cluster_m": 0.3, "at_least": 0.8},
+        {"cluster_m": 0.3, "sensors": 3},
+        {"lost": 1},
+    ],
+    ids=str,
+)
+def test_margins_are_those_of_rigs_without_a_sensor_and_with_one_moved(changes):
+    """Beside the base grid's counts of rigs of which a sensor was taken, or moved."""
+    item = requirement((2.2, 2.4), returns=30, **changes)
     mounts = random_rig(np.random.default_rng(2))
     judge = ObjectJudge(item, AROUND)
-    found = judge.margins(mounts, OFF_M, OFF_RAD)
+    found = judge.margins(mounts)
+
+    def value(rig, lost=item.lost):
+        """What the position that decides has, exact below the cap."""
+        fresh = ObjectJudge(replace(item, lost=lost), AROUND)
+        measured = fresh.measured(rig, judge.first_cap)
+        least = {}
+        for (x, y), count in zip(measured.places[:, :2].tolist(), measured.values.tolist(), strict=True):
+            least[x, y] = min(least.get((x, y), count), count)
+        best = sorted(least.values(), reverse=True)
+        return min(best[math.ceil(item.at_least * len(best)) - 1], judge.first_cap)
+
+    assert min(found.whole, found.cap) == value(mounts)
     for n in range(len(mounts)):
-        left = [mount for m, mount in enumerate(mounts) if m != n]
-        alone = int(ObjectJudge(item, AROUND).measured(left, judge.first_cap).values.min())
-        assert min(int(found.without[n]), judge.first_cap) == min(alone, judge.first_cap)
-    least = []
-    for way in (-1, 1):
-        x, y, z = mounts[1].position_m
-        moved = (mounts[0], replace(mounts[1], position_m=(x, y, z + way * OFF_M)), mounts[2])
-        least.append(int(ObjectJudge(item, AROUND).measured(moved, judge.first_cap).values.min()))
-    assert found.off[1, 2] >= min(least)  # at the lowest places only
-    assert found.whole == int(judge.measured(mounts, judge.first_cap).values.min())
+        assert min(found.without[n], found.cap) == value(without(mounts, n), 0)
+    least = min(value(moved(mounts, 1, 2, way)) for way in (-1, 1))
+    assert min(found.off[1, 2], found.cap) == pytest.approx(least, abs=2)  # at the lowest places only
+    alone = judge.margins(mounts[:1]) if not item.lost else None
+    assert alone is None or np.isnan(alone.without).all()
+
+
+def test_sensors_whose_loss_breaks_it_are_those_without_which_it_fails():
+    """Clusters at eight of ten positions, where that is met; beside verdicts on the rigs without each."""
+    item = requirement((2.25, 2.3), returns=90, cluster_m=0.3, at_least=0.8)
+    mounts = random_rig(np.random.default_rng(2))
+    found = ObjectJudge(item, AROUND).judge(mounts)
+    passing = [n for n in range(3) if ObjectJudge(item, AROUND).judge(without(mounts, n)).passed]
+    assert found.passed
+    assert 0 < len(passing) < 3
+    assert found.breaking == tuple(mounts[n].name for n in range(3) if n not in passing)
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_margins_of_posts_and_of_the_shadow_are_those_of_rigs_judged_anew(tmp_path, lost):
+    """One limit at a time, without each sensor and with each coordinate of each mount off, either way."""
+    (tmp_path / "study.yaml").write_text(STUDY[: STUDY.index("requirements:")] + BLIND.replace("LOST", f"{lost}"))
+    (tmp_path / "rig.yaml").write_text(RIG + THIRD)
+    mounts = load_rig(tmp_path / "rig.yaml").mounts
+    post, shadow = load_study(tmp_path / "study.yaml").requirements.items
+    for item in (post, shadow):
+        found = item.judge(mounts)
+        alone = [replace(item, lost=0).judge(without(mounts, n)) for n in range(3)]
+        assert found.breaking == tuple(mounts[n].name for n in range(3) if not alone[n].passed)
+    limits = [replace(post, gap_at_most_m=None), replace(post, first_seen_at_most_m=None), shadow]
+    margins = [*post.margins(mounts), shadow.margins(mounts)]
+    for item, found in zip(limits, margins, strict=True):
+        assert found.whole == pytest.approx(item.judge(mounts).reached)
+        for n in range(3):
+            alone = replace(item, lost=0).judge(without(mounts, n))
+            assert found.without[n] == pytest.approx(alone.reached)
+            assert found.meets(alone.reached) == alone.passed
+            for axis in range(6):
+                worst = max(item.judge(moved(mounts, n, axis, way)).reached for way in (-1, 1))
+                assert found.off[n, axis] == pytest.approx(worst)
+    assert len({value for found in margins for value in found.off.ravel().tolist()}) > 4
+
+
+def test_a_post_that_one_sensor_alone_sees_breaks_with_it(tmp_path):
+    """On the terminal, in JSON, JUnit and HTML; the sensor ahead of the body alone sees posts there."""
+    (tmp_path / "study.yaml").write_text(STUDY[: STUDY.index("requirements:")] + AHEAD)
+    (tmp_path / "rig.yaml").write_text(RIG + THIRD)
+    files = tmp_path / "study.yaml", tmp_path / "rig.yaml"
+    done = lidarcfg("verify", *files, "-o", tmp_path / "out", "--junit", tmp_path / "verdict.xml")
+    assert "post ahead: fails without any one of front" in done.stdout
+    values = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    assert values["requirements"][0]["breaking"] == ["front"]
+    assert "each alone breaks it: front" in (tmp_path / "verdict.xml").read_text()
+    page = (tmp_path / "out" / "verdict.html").read_text()
+    assert "The loss of any of these alone breaks it: front." in page
+    assert "First seen at the worst azimuth, in metres: at most 1.00 demanded" in page
+
+
+def test_what_is_never_seen_is_nothing_but_a_gap():
+    """A rig that looks over all posts misses a limit of gaps alone, too."""
+    posts = PostPlaces.around(Footprint.of(BODY), 0.0, (0.0, 2.0))
+    item = PostRequirement("post", posts, 0.3, None, 0.3, 2.0, AROUND)
+    high = (mount("vlp-16", (0.0, 0.0, 3.0), (0, 0, 0)),)
+    found = item.judge(high)
+    assert not found.passed
+    assert np.isinf(found.reached)
+    assert found.shortfall == 1
+    assert np.isinf(item.margins(high)[0].off).all()
 
 
 def test_hidden_heights_add_up_to_the_shadow(found):
@@ -133,3 +251,22 @@ def test_an_evaluation_begins_with_the_verdict(files):
     # 1 m ahead the body's edge lies 11.3° below the sensors: the beams at 11° are the lowest that pass it
     assert posts[0.5]["first_seen_m"][0] == pytest.approx(1.1 / np.tan(np.radians(11)) - 1, abs=0.12)
     assert posts[1.0]["first_seen_m"][0] == pytest.approx(0.6 / np.tan(np.radians(11)) - 1, abs=0.12)
+
+
+def test_a_verdicts_table_has_a_column_of_losses_only_if_there_are_any():
+    held = RequirementVerdict("a", "object", True, "returns", 1, 2, False, 0.0)
+    broken = replace(held, breaking=("left",))
+    assert verdict_table(Verdict((held, replace(broken, passed=False)))).head[-1] == "phases there"
+    both = verdict_table(Verdict((held, broken)))
+    assert both.head[-1] == "sensors lost there; whose loss breaks it"
+    assert [row[-1] for row in both.rows] == ["", "each alone breaks it: left"]
+
+
+def test_a_table_of_margins_marks_what_misses_and_what_was_counted_no_further(files):
+    """The cells of a sensor without which 5 of 10 are left; a lone sensor has no loss to tell of."""
+    rig = load_rig(files / "rig.yaml")
+    found = MountMargins("Returns", "returns", 10, False, 25, np.array([5.0, np.nan]), np.full((2, 6), 12.0), cap=20)
+    table = margins_table(found, rig)
+    assert [[str(cell) for cell in row[1:3]] for row in table.rows] == [["5", "12"], ["–", "12"]]
+    assert [isinstance(row[1], FailCell) for row in table.rows] == [True, False]
+    assert "at least 10 demanded, ≥ 20 with all mounts in place" in table.caption
