@@ -52,8 +52,7 @@ def verify(
         from lidarcfg.report.results import VERIFIED, check_writable, save_verdict, to_json
         from lidarcfg.report.verdict import junit as junit_text
         from lidarcfg.report.verdict import print_verdict, verdict_dict
-        from lidarcfg.requirements.evidence import Verification, evidence
-        from lidarcfg.requirements.verify import Verifier
+        from lidarcfg.requirements.verify import Verification, Verifier, evidence
         from lidarcfg.sensors.rig import load_rig
 
         loaded = load_study(study)

@@ -20,9 +20,8 @@ from lidarcfg.placement.metric import max_vsr, volume_m3
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces
-from lidarcfg.requirements.evidence import Verification, evidence
 from lidarcfg.requirements.posts import PostPlaces, PostVisibility, post_visibility
-from lidarcfg.requirements.verify import Verifier
+from lidarcfg.requirements.verify import Verification, Verifier, evidence
 from lidarcfg.sensors.rig import Rig
 
 MOST = np.int32(2**31 - 1)

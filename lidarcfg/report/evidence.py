@@ -23,13 +23,13 @@ from lidarcfg.report.canvas import (
 )
 from lidarcfg.report.describe import counted
 from lidarcfg.report.scenario import draw_scenario_on, scenario_rows
-from lidarcfg.requirements.evidence import Evidence, HiddenColumns, SensorView
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import PlaceCounts
 from lidarcfg.requirements.places import Zone
 from lidarcfg.requirements.posts import STEP_M as POST_STEP_M
 from lidarcfg.requirements.posts import PostVisibility
 from lidarcfg.requirements.verdict import RequirementVerdict
+from lidarcfg.requirements.verify import Evidence, HiddenColumns, SensorView
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.beams import Outcome
 

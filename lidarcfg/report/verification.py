@@ -28,9 +28,9 @@ from lidarcfg.report.verdict import (
     signed,
     worst_place,
 )
-from lidarcfg.requirements.evidence import Verification
 from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
+from lidarcfg.requirements.verify import Verification
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 
 

@@ -1,13 +1,30 @@
-"""Verifying rigs: each requirement of a study is judged in turn."""
+"""Verifying rigs: each requirement of a study is judged in turn.
+
+Evidence shows a verdict: the counts on a map around the vehicle, and the worst place as each sensor sees it.
+"""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.requirements.objects import ObjectRequirement, object_judges
+from lidarcfg.geometry import Array
+from lidarcfg.requirements.detection import ScenarioResult
+from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.requirements.margins import MountMargins
+from lidarcfg.requirements.objects import CAP_MAX, ObjectJudge, ObjectRequirement, PlaceCounts, object_judges
+from lidarcfg.requirements.places import Zone
+from lidarcfg.requirements.posts import PostRequirement, PostVisibility
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
-from lidarcfg.requirements.verdict import Verdict
+from lidarcfg.requirements.scenarios import ScenarioRequirement
+from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.shadow import STEP_M as SHADOW_STEP_M
+from lidarcfg.requirements.shadow import ShadowRequirement
+from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.sensors.rig import Mount
+from lidarcfg.simulate.beams import PassingBeams, passing_beams
 
 OnProgress = Callable[[float, str], None]
 
@@ -52,3 +69,122 @@ class Verifier:
             out.append(judge.judge(mounts, on_places))
             done = begun + judge.work
         return Verdict(tuple(out))
+
+
+@dataclass(frozen=True)
+class HiddenColumns:
+    """How much the bodies hide from all sensors above N points of the ground."""
+
+    at_m: Array  # (N, 2)
+    height_m: Array  # (N,) that is hidden
+    side_m: float  # between points
+
+
+@dataclass(frozen=True)
+class SensorView:
+    """The object at the worst place as a sensor sees it, in the phase of its fewest returns."""
+
+    name: str
+    lost: bool  # in the worst case of failure
+    beams: PassingBeams
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What shows the verdict on a requirement; a part is missing where its kind has none."""
+
+    verdict: RequirementVerdict
+    body: Footprint | None
+    zone: Zone | None = None
+    counts: PlaceCounts | None = None
+    posts: PostVisibility | None = None
+    hidden: HiddenColumns | None = None
+    scenario: ScenarioResult | None = None
+    views: tuple[SensorView, ...] = ()
+    margins: tuple[MountMargins, ...] = ()  # of each of its limits
+
+    @property
+    def has_map(self) -> bool:
+        """Whether there is anything to draw from above."""
+        return bool(self.counts or self.posts or self.hidden)
+
+
+@dataclass(frozen=True)
+class Verification:
+    """A verdict on a rig, and what shows it."""
+
+    verdict: Verdict
+    evidence: tuple[Evidence, ...]  # of each requirement
+
+
+def verification(verifier: Verifier, mounts: Sequence[Mount], on_progress: OnProgress = silent) -> Verification:
+    """The verdict on a rig's mounts, with what shows it. Raises ConfigError as `Verifier.verify` does."""
+    verdict = verifier.verify(mounts, on_progress)
+    return Verification(verdict, evidence(verifier, mounts, verdict))
+
+
+def evidence(verifier: Verifier, mounts: Sequence[Mount], found: Verdict) -> tuple[Evidence, ...]:
+    """What shows each part of a verifier's verdict on mounts, as they are without mounting errors."""
+    body = verifier.requirements.site.body
+    out = []
+    for judge, one in zip(verifier.judges, found.requirements, strict=True):
+        if isinstance(judge, ObjectJudge):
+            item = judge.item
+            out.append(
+                Evidence(
+                    one,
+                    body,
+                    zone=item.stand.zone,
+                    counts=judge.counts(mounts),
+                    views=_views(verifier, item, mounts, one),
+                    margins=(judge.margins(mounts),),
+                )
+            )
+        elif isinstance(judge, PostRequirement):
+            out.append(
+                Evidence(
+                    one,
+                    body,
+                    posts=judge.visibility(mounts),
+                    views=_views(verifier, judge, mounts, one),
+                    margins=judge.margins(mounts),
+                )
+            )
+        elif isinstance(judge, ShadowRequirement):
+            out.append(Evidence(one, body, hidden=_hidden(judge, mounts), margins=(judge.margins(mounts),)))
+        elif isinstance(judge, ScenarioRequirement):
+            out.append(Evidence(one, body, scenario=judge.check(mounts).result))
+        else:
+            out.append(Evidence(one, body))
+    return tuple(out)
+
+
+def _views(
+    verifier: Verifier,
+    item: ObjectRequirement | PostRequirement,
+    mounts: Sequence[Mount],
+    one: RequirementVerdict,
+) -> tuple[SensorView, ...]:
+    """The worst place as each sensor sees it."""
+    if one.worst is None:
+        return ()
+    site = verifier.requirements.site
+    target = item.target
+    place = np.array([one.worst.x_m, one.worst.y_m, site.ground_m, np.radians(one.worst.heading_deg or 0.0)])
+    if isinstance(item, ObjectRequirement) and item.cluster_m is not None and one.phases is not None:
+        phases = one.phases
+    else:
+        lowest = lowest_at(place[None], target, mounts, site.obstacles, CAP_MAX, len(mounts) + 1)
+        phases = tuple(lowest.phases[0].tolist())
+    return tuple(
+        SensorView(mount.name, mount.name in one.lost, passing_beams(place, target, mount, phase, site.obstacles))
+        for mount, phase in zip(mounts, phases, strict=True)
+    )
+
+
+def _hidden(item: ShadowRequirement, mounts: Sequence[Mount]) -> HiddenColumns:
+    """The hidden height above each point of the ground."""
+    points = item.points_m
+    at, column = np.unique(points[:, :2], axis=0, return_inverse=True)
+    height_m = np.bincount(column.ravel(), item.hidden(mounts), len(at)) * item.layer_m
+    return HiddenColumns(at, np.asarray(height_m), SHADOW_STEP_M)

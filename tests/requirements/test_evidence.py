@@ -10,14 +10,13 @@ import pytest
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.html import FailCell
 from lidarcfg.report.verification import margins_table, verdict_table
-from lidarcfg.requirements.evidence import verification
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.objects import ObjectJudge, reached
 from lidarcfg.requirements.posts import PostPlaces, PostRequirement
 from lidarcfg.requirements.sensors import lowest_at
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
-from lidarcfg.requirements.verify import Verifier
+from lidarcfg.requirements.verify import Verifier, verification
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 from tests.requirements.cases import ALL, AROUND, BODY, random_rig, requirement
