@@ -147,7 +147,7 @@ class CheapestRun:
         if not self.efforts:  # the closest, if none can meet all
             self._excludes = False
             numbers = range(len(self.options))
-            self._search([n for n in numbers if self.excluded[n] != TOO_DEAR] or list(numbers), on_effort)
+            self._search([n for n in numbers if self.excluded.get(n) != TOO_DEAR] or list(numbers), on_effort)
 
     def _search(self, numbers: list[int], on_effort: OnEffort | None) -> None:
         """Search round after round."""
@@ -172,7 +172,6 @@ class CheapestRun:
 
     def _do_round(self, numbers: list[int], on_effort: OnEffort | None) -> None:
         """Let the search of each combination go on, up to the first that meets all."""
-
         done = 0
 
         def ended(number: int, effort: Effort | str | None) -> bool:
