@@ -105,11 +105,6 @@ def test_an_evaluation_says_the_same(out):
     assert f"max VSR {result['max_vsr_m']:.6f} m in {result['subspaces']:,} subspaces" in table
 
 
-def test_the_same_seed_writes_the_same_rig(out, tmp_path):
-    run("optimize", STUDY, "-o", tmp_path, "--evaluations", 450, "--seed", 5, "--threads", 1, "--quiet")
-    assert (tmp_path / "rig.yaml").read_bytes() == (out / "two/rig.yaml").read_bytes()
-
-
 def test_export_repeats_byte_for_byte_and_splits(out, tmp_path):
     words = ("export", out / "two/rig.yaml", "--scene", STREET, "--at=-30,-10,0", "--duration", 0.1)
     run(*words, "-o", tmp_path / "again.pcap", "--quiet")
@@ -203,10 +198,11 @@ def wait_for(folder, pattern=None):
 
 
 def test_ctrl_c_keeps_the_best_so_far(tmp_path):
+    often = "from lidarcfg.cli import main, optimize; optimize.SAVE_EVERY_S = 0; main.main()"
     words = [
         sys.executable,
-        "-m",
-        "lidarcfg",
+        "-c",
+        often,
         "optimize",
         STUDY,
         "-o",
@@ -356,7 +352,7 @@ def test_the_shortest_budget_still_gives_a_rig(tmp_path):
 def test_a_budget_in_seconds_cuts_a_large_swarm(tmp_path):
     study = tmp_path / "s.yaml"
     study.write_text(Path(STUDY).read_text().replace("bees: 200", "bees: 100000"))
-    run("optimize", study, "-o", tmp_path / "o", "--seconds", 2, "--quiet")
+    run("optimize", study, "-o", tmp_path / "o", "--seconds", 0.2, "--quiet")
     assert json.loads((tmp_path / "o/result.json").read_text())["seconds"] < 60
 
 
@@ -395,8 +391,10 @@ def test_resuming_from_what_is_none(tmp_path, out):
 
 
 def test_resuming_ends_where_an_unbroken_search_does(tmp_path, out):
-    run("optimize", STUDY, "--resume", out / "two", "-o", tmp_path / "on", "--seed", 5, "--evaluations", 900, "--quiet")
-    run("optimize", STUDY, "-o", tmp_path / "whole", "--seed", 5, "--evaluations", 900, "--quiet")
+    """The same seed finds the same rig, whatever the threads."""
+    words = ("--seed", 5, "--evaluations", 700, "--quiet")
+    run("optimize", STUDY, "--resume", out / "two", "-o", tmp_path / "on", *words)
+    run("optimize", STUDY, "-o", tmp_path / "whole", "--threads", 1, *words)
     assert (tmp_path / "on/rig.yaml").read_bytes() == (tmp_path / "whole/rig.yaml").read_bytes()
 
 
