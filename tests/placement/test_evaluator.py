@@ -133,7 +133,7 @@ OBJECTS = """
 detection:
   - {name: box, size_m: [1, 0.5, 0.5]}
   - {name: post, size_m: [0.3, 0.2, 1], on_ground: true, threshold: 2}
-  - {name: drawn, size_m: [1.2, 0.6, 0.7], samples: 128}
+  - {name: drawn, size_m: [1.2, 0.6, 0.7], samples: 24}
 """
 
 
