@@ -25,6 +25,14 @@ def pytest_collection_modifyitems(config, items):
 
 
 @pytest.fixture
+def blank_pictures(monkeypatch):
+    """Figures are made, laid out by nobody and written blank: to draw them takes half of a command's time."""
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "draw", lambda self, renderer: None)
+
+
+@pytest.fixture
 def tool(monkeypatch):
     """A module of tools/ by its name."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "tools"))

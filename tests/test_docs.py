@@ -45,10 +45,10 @@ COMMANDS = {
 
 # What takes long takes less of it, and what serves a page until Ctrl-C writes the same page into a file.
 SUBSTITUTIONS = [
-    (r"--seconds [\d.]+", "--evaluations 40"),
-    (r"--evaluations \d{2,}", "--evaluations 40"),
+    (r"--seconds [\d.]+", "--evaluations 8"),
+    (r"--evaluations \d{2,}", "--evaluations 8"),
     (r"^sweep \S+", f"sweep {ROOT / 'tests/placement/studies/plan.yaml'}"),
-    (r"^(optimize (?!.*--evaluations).*)$", r"\1 --evaluations 40"),
+    (r"^(optimize (?!.*--evaluations).*)$", r"\1 --evaluations 8"),
     (r"--duration [\d.]+", "--duration 0.1"),
     (r"--tolerance [\d.]+", "--tolerance 0.1"),
     (r"^(replay .*) --emulate --loop$", r"\1"),  # whose ports need a right to them: tests/capture/test_emulation.py
@@ -200,8 +200,10 @@ def project(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_command_of_a_page_runs(page, project):
+def test_every_command_of_a_page_runs(page, project, request):
     """In order, with Python in between; files that the page shows are there from the start."""
+    if not page.stem.startswith("reading-a-"):
+        request.getfixturevalue("blank_pictures")
     for name, text in named_files(page).items():
         Path(name).write_text(text)
     names = {}
@@ -230,7 +232,7 @@ def assert_shown(shown, made):
         assert made == (pytest.approx(shown, rel=1e-3, abs=1e-9) if isinstance(shown, int | float) else shown)
 
 
-def test_every_example_of_help_runs(project, capsys):
+def test_every_example_of_help_runs(project, blank_pictures, capsys):
     """In the order of the first page: later ones use what earlier ones wrote."""
     examples = help_examples()
     assert {words[1] for words in examples} == set(cli.commands)
@@ -238,7 +240,7 @@ def test_every_example_of_help_runs(project, capsys):
         run(quick(words))
 
 
-def test_the_demo(project, capsys):
+def test_the_demo(project, blank_pictures, capsys):
     """Its commands, in less time, and the Python that sums them up: it counts what other readers count."""
     script = (ROOT / "tools/demo-commands.sh").read_text()
     variables = dict(re.findall(r"^(\w+)=([\w/.-]+)$", script, re.MULTILINE)) | {"out": "out/demo"}

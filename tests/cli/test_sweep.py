@@ -244,7 +244,7 @@ def test_a_cluster_finds_the_same(plan, serial, cluster, tmp_path, monkeypatch):
 
 def test_a_cluster_finds_the_cheapest_rig(cluster, tmp_path):
     study = tmp_path / "study.yaml"
-    study.write_text(CHOICE.replace("RETURNS", "15").replace("within_m: [2, 3]", "within_m: [2, 2.4]"))
+    study.write_text(CHOICE.replace("RETURNS", "60").replace("within_m: [2, 3]", "within_m: [2, 2.4]"))
     command("optimize", study, "-o", tmp_path / "out", "--scheduler", cluster)
     alone = cheapest(load_study(study))
     assert [one.position_m for one in load_rig(tmp_path / "out/rig.yaml").mounts] == [
