@@ -164,7 +164,9 @@ def test_most_of_a_triangles_shadow_takes_no_segments(seed):
     assert np.array_equal(seen.ravel(), ~hidden)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3, 4, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, *range(5, 12)))])
+@pytest.mark.parametrize(
+    "seed", [0, 1, 3, 4, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, *range(5, 12)))]
+)
 def test_the_whole_pipeline_cuboid_by_cuboid(seed):
     """Labels, blind ones too, and max VSR, against asin, atan2 and breadth-first search, with bodies, ranges and fields."""
     rng = np.random.default_rng(seed)
