@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command_line import without_drawing
+
 
 def pytest_addoption(parser):
     parser.addoption("--nightly", action="store_true", help="all cases, and the long form of tests/reliability")
@@ -25,11 +27,10 @@ def pytest_collection_modifyitems(config, items):
 
 
 @pytest.fixture
-def blank_pictures(monkeypatch):
-    """Figures are made, laid out by nobody and written blank: to draw them takes half of a command's time."""
-    from matplotlib.figure import Figure
-
-    monkeypatch.setattr(Figure, "draw", lambda self, renderer: None)
+def blank_pictures():
+    """As tests/command_line.py has it."""
+    with without_drawing():
+        yield
 
 
 @pytest.fixture

@@ -145,7 +145,7 @@ detection:
         "{max_vsr: 1, detection: {box: 0.05, drawn: 0.05}}",
         "{inscribed_radius: 3}",
         "{detection: {box: 1, post: 2}}",
-        "{detection: {drawn: 0.7}}",
+        pytest.param("{detection: {drawn: 0.7}}", marks=pytest.mark.nightly),
     ],
 )
 @pytest.mark.parametrize("method", ["abc", "de"])

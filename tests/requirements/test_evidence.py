@@ -121,7 +121,7 @@ def test_the_report_begins_with_the_verdict(files, found):
         ) in page
 
 
-def test_an_evaluation_begins_with_the_verdict(files):
+def test_an_evaluation_begins_with_the_verdict(files, blank_pictures):
     out = files / "evaluated"
     lidarcfg("evaluate", files / "study.yaml", files / "rig.yaml", "-o", out)
     page = (out / "report.html").read_text()

@@ -20,7 +20,7 @@ sensors:
   - {model: vlp-16, count: 2, min: {position_m: [-1, -1, 1.5], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 1, 3], rpy_deg: [0, 0, 0]}}
 prices: {vlp-16: 4000}
 requirements:
-  - {name: crates ahead, object: {size_m: [1, 1, 1]}, within_m: [2, 4], sector_deg: [-30, 30], headings_deg: [0], returns: 60}
+  - {name: crates ahead, object: {size_m: [1, 1, 1]}, within_m: [2, 3], sector_deg: [-30, 30], headings_deg: [0], returns: 60}
   - {name: budget, price_at_most: 8000}
 """
 RIG = """name: two
