@@ -1,5 +1,7 @@
 """The savings change nothing: searches with and without them, and costs against the plain evaluation."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -137,18 +139,24 @@ detection:
 """
 
 
+OBJECTIVES = (
+    "{max_vsr: 1, inscribed_radius: 0.01}",
+    "{max_vsr: 2, inscribed_radius: 1, detection: {box: 0.1}}",
+    "{inscribed_radius: 3}",
+    "{detection: {box: 1, post: 2}}",
+    "{max_vsr: 1, detection: {box: 0.05, drawn: 0.05}}",
+    "{detection: {drawn: 0.7}}",
+)
+BY_NIGHT = ("de", OBJECTIVES[4]), ("abc", OBJECTIVES[5]), ("de", OBJECTIVES[5])
+
+
 @pytest.mark.parametrize(
-    "objective",
+    ("method", "objective"),
     [
-        "{max_vsr: 1, inscribed_radius: 0.01}",
-        "{max_vsr: 2, inscribed_radius: 1, detection: {box: 0.1}}",
-        "{max_vsr: 1, detection: {box: 0.05, drawn: 0.05}}",
-        "{inscribed_radius: 3}",
-        "{detection: {box: 1, post: 2}}",
-        pytest.param("{detection: {drawn: 0.7}}", marks=pytest.mark.nightly),
+        pytest.param(*case, marks=[pytest.mark.nightly] * (case in BY_NIGHT))
+        for case in product(("abc", "de"), OBJECTIVES)
     ],
 )
-@pytest.mark.parametrize("method", ["abc", "de"])
 def test_skipping_changes_nothing_for_any_objective(tmp_path, objective, method):
     path = tmp_path / "s.yaml"
     path.write_text(

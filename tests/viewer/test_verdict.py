@@ -46,7 +46,7 @@ def test_the_server_answers_as_verify_does(required):
     """From what it kept of the sensor that stays, too; what cannot be verified is the user's mistake."""
     poses = poses_of(required.rigs[0])
     with serving(required) as url:
-        for by_m in (0.0, 0.3, 1.3, 0.0):
+        for by_m in (0.0, 1.3, 0.0):
             poses[0, 2] = 1.6 + by_m
             answer = json.loads(asked(url, "POST", "/verify", json.dumps({"poses": poses.tolist()}))[1])
             want = verdict_of(required, poses)
