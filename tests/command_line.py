@@ -36,6 +36,16 @@ def lidarcfg(*words, code=0, cwd="."):
     return SimpleNamespace(stdout=out.getvalue(), stderr=errors.getvalue(), returncode=code)
 
 
+@contextlib.contextmanager
+def without_drawing():
+    """Figures are made and written, but blank: to draw them takes half of a command's time."""
+    from matplotlib.figure import Figure
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "draw", lambda self, renderer: None)
+        yield
+
+
 def started(words):
     """A process that heeds Ctrl-C even where these tests run in the background, which ignores it."""
     return subprocess.Popen(

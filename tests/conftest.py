@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command_line import without_drawing
+
 
 def pytest_addoption(parser):
     parser.addoption("--nightly", action="store_true", help="all cases, and the long form of tests/reliability")
@@ -22,6 +24,13 @@ def pytest_collection_modifyitems(config, items):
     left_out = [item for item in items if item.get_closest_marker("nightly")]
     items[:] = [item for item in items if not item.get_closest_marker("nightly")]
     config.hook.pytest_deselected(items=left_out)
+
+
+@pytest.fixture
+def blank_pictures():
+    """As tests/command_line.py has it."""
+    with without_drawing():
+        yield
 
 
 @pytest.fixture

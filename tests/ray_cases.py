@@ -84,11 +84,11 @@ def ellipsoid(folder, points=300):
     (folder / "m.ply").write_text(PLY.format(n=points, m=len(faces)) + "\n".join(rows) + "\n")
 
 
-def body_at(folder, name, place):
-    """A body as a mesh, its centre at a place (3,)."""
+def body_at(folder, name, place, tolerance_m=0.001):
+    """A body as a mesh, no farther off than that, its centre at a place (3,)."""
     ellipsoid(folder)
     body = scene(folder, BODIES[name].format(at=[float(x) for x in place]))
-    return mesh_scene(*body.mesh(0.001))
+    return mesh_scene(*body.mesh(tolerance_m))
 
 
 def aimed(body, inside, rng, count):

@@ -21,15 +21,15 @@ TOOL = Path(__file__).parents[1] / "tools" / "fuzz.py"
 
 @pytest.mark.parametrize(("options", "points_each"), [((), 10), (("--makers",), 1)])
 def test_odd_captures_end_well(options, points_each):
-    """Twenty thousand packets of all makers, and of those besides Velodyne, with the kernels that everybody uses."""
-    command = [sys.executable, str(TOOL), "--random", "--packets", "20000", "--seed", "7", *options]
+    """Six thousand packets of all makers, and of those besides Velodyne, with the kernels that everybody uses."""
+    command = [sys.executable, str(TOOL), "--random", "--packets", "6000", "--seed", "7", *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     captures, packets, points, refused = (
         int(number.replace(",", ""))
         for number in re.findall(r"([\d,]+) (?:captures|packets|points|refused)", done.stdout)[:4]
     )
-    assert packets >= 20_000
+    assert packets >= 6_000
     assert points > points_each * packets  # many are decoded, not refused
     assert 0 < refused < captures
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lidarcfg as library
@@ -25,7 +25,7 @@ from lidarcfg.report.results import fingerprint
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene_file import SceneFile
-from tests.command_line import lidarcfg
+from tests.command_line import lidarcfg, without_drawing
 from tests.studies import study_of
 from tests.test_docs import PAGES, blocks, named_files
 
@@ -82,9 +82,9 @@ def sensors_of(study):
 
 
 def assert_read_back(study, folder):
-    """Its file's text, in another folder, is the same study; some combinations of it, if there is something to choose."""
+    """Its file's text, in another folder, is the same study; so are the first and last combination."""
     chosen = [found.study for found in combinations(study)] if study.to_choose else []
-    for one in [study, *chosen[:: max(len(chosen) // 3, 1)]]:
+    for one in [study, *chosen[:: max(len(chosen) - 1, 1)]]:
         path = folder / "elsewhere" / "study.yaml"
         path.parent.mkdir(exist_ok=True)
         path.write_text(yaml_text(one.file))
@@ -112,7 +112,8 @@ def assert_read_back(study, folder):
 def test_shipped_studies(path, tmp_path):
     study = library.load_study(path)
     assert_read_back(study, tmp_path)
-    assert_read_back(with_solver(study, seconds=5, seed=2), tmp_path)
+    changed = with_solver(study, seconds=5, seed=2)
+    assert loads(yaml_text(changed.file), StudyFile, "changed").solver == changed.solver
 
 
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
@@ -128,9 +129,10 @@ def test_the_studies_of_plans(path, tmp_path):
 
 @pytest.mark.parametrize("name", [None, *vehicles()])
 def test_templates_of_studies(name, tmp_path):
-    """With all that is optional, too."""
+    """With all that is optional; that without a vehicle also without."""
     path = write_template("study", tmp_path / "study.yaml", name)[0]
-    assert_read_back(library.load_study(path), tmp_path)
+    if name is None:
+        assert_read_back(library.load_study(path), tmp_path)
     (tmp_path / "scene.yaml").write_text("name: wall\nground: {reflectivity: 10}\n")
     path.write_text(re.sub(r"^#(?=\s*(- \{?)?[a-z])", "", path.read_text(), flags=re.M))
     assert_read_back(library.load_study(path), tmp_path)
@@ -180,7 +182,8 @@ def searched(tmp_path_factory):
     """The folder of a search among sensors for objects that are detected by returns."""
     folder = with_files(tmp_path_factory.mktemp("returns") / "it")
     (folder / "study.yaml").write_text(RETURNS)
-    lidarcfg("optimize", "study.yaml", "-o", "out", "--threads", 2, cwd=folder)
+    with without_drawing():
+        lidarcfg("optimize", "study.yaml", "-o", "out", "--threads", 2, cwd=folder)
     return folder
 
 
@@ -190,7 +193,7 @@ def complete_study(page):
     return html.unescape(text)
 
 
-def test_the_points_of_a_front(searched, tmp_path):
+def test_the_points_of_a_front(searched, tmp_path, blank_pictures):
     """Each is a study, the same as in its report, in which its rig is what it was, and whose search goes on."""
     points = json.loads((searched / "out/front.json").read_text())["points"]
     assert points
@@ -239,6 +242,7 @@ def test_names_too_long_for_a_rig_are_refused(choose, length, message, tmp_path)
         combinations(study_of(tmp_path, text))
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.dictionaries(TEXTS, VALUES, min_size=1))
 def test_values(values):
     assert Document(yaml_text(values), "it").value == values

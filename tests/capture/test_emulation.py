@@ -105,9 +105,9 @@ def emulated(path, port=None):
 
     def going():
         for datagram in repeat(lambda: read_selected(path, running.warnings.append, ALL)):
+            yield datagram  # one at least: a replay of none is an error
             if stop.is_set():
                 return
-            yield datagram
 
     sensors = find_emulated(path, "127.0.0.1", port, ALL, running.warnings.append)
     ports = [(one.site.address, service) for one in sensors for service in one.emulator.services]

@@ -95,7 +95,7 @@ def test_the_results_of_a_search(out):
         assert (out / "two" / name).read_bytes().startswith(b"\x89PNG")
 
 
-def test_an_evaluation_says_the_same(out):
+def test_an_evaluation_says_the_same(out, blank_pictures):
     found = run("evaluate", STUDY, out / "two/rig.yaml", "--json", "-o", out / "evaluated")
     result, asked = json.loads(found.stdout), json.loads((out / "two/result.json").read_text())
     for key in ("max_vsr_m", "subspaces", "detection", "worst", "rig", "version"):
@@ -103,11 +103,6 @@ def test_an_evaluation_says_the_same(out):
     assert json.loads((out / "evaluated/result.json").read_text())["max_vsr_m"] == result["max_vsr_m"]
     table = run("evaluate", STUDY, out / "two/rig.yaml").stdout
     assert f"max VSR {result['max_vsr_m']:.6f} m in {result['subspaces']:,} subspaces" in table
-
-
-def test_the_same_seed_writes_the_same_rig(out, tmp_path):
-    run("optimize", STUDY, "-o", tmp_path, "--evaluations", 450, "--seed", 5, "--threads", 1, "--quiet")
-    assert (tmp_path / "rig.yaml").read_bytes() == (out / "two/rig.yaml").read_bytes()
 
 
 def test_export_repeats_byte_for_byte_and_splits(out, tmp_path):
@@ -203,10 +198,11 @@ def wait_for(folder, pattern=None):
 
 
 def test_ctrl_c_keeps_the_best_so_far(tmp_path):
+    often = "from lidarcfg.cli import main, optimize; optimize.SAVE_EVERY_S = 0; main.main()"
     words = [
         sys.executable,
-        "-m",
-        "lidarcfg",
+        "-c",
+        often,
         "optimize",
         STUDY,
         "-o",
@@ -347,16 +343,16 @@ def test_a_reader_that_goes_away_is_no_error():
     assert done.returncode in (0, 128 + signal.SIGPIPE)
 
 
-def test_the_shortest_budget_still_gives_a_rig(tmp_path):
+def test_the_shortest_budget_still_gives_a_rig(tmp_path, blank_pictures):
     done = run("optimize", STUDY, "-o", tmp_path, "--seconds", "1e-9", "--quiet")
     assert done.stderr == ""
     assert json.loads((tmp_path / "result.json").read_text())["interrupted"] is False
 
 
-def test_a_budget_in_seconds_cuts_a_large_swarm(tmp_path):
+def test_a_budget_in_seconds_cuts_a_large_swarm(tmp_path, blank_pictures):
     study = tmp_path / "s.yaml"
     study.write_text(Path(STUDY).read_text().replace("bees: 200", "bees: 100000"))
-    run("optimize", study, "-o", tmp_path / "o", "--seconds", 2, "--quiet")
+    run("optimize", study, "-o", tmp_path / "o", "--seconds", 0.2, "--quiet")
     assert json.loads((tmp_path / "o/result.json").read_text())["seconds"] < 60
 
 
@@ -394,13 +390,15 @@ def test_resuming_from_what_is_none(tmp_path, out):
     assert "is of another search; study, solver and seed must be the same" in one_line(*words)
 
 
-def test_resuming_ends_where_an_unbroken_search_does(tmp_path, out):
-    run("optimize", STUDY, "--resume", out / "two", "-o", tmp_path / "on", "--seed", 5, "--evaluations", 900, "--quiet")
-    run("optimize", STUDY, "-o", tmp_path / "whole", "--seed", 5, "--evaluations", 900, "--quiet")
+def test_resuming_ends_where_an_unbroken_search_does(tmp_path, out, blank_pictures):
+    """The same seed finds the same rig, whatever the threads."""
+    words = ("--seed", 5, "--evaluations", 700, "--quiet")
+    run("optimize", STUDY, "--resume", out / "two", "-o", tmp_path / "on", *words)
+    run("optimize", STUDY, "-o", tmp_path / "whole", "--threads", 1, *words)
     assert (tmp_path / "on/rig.yaml").read_bytes() == (tmp_path / "whole/rig.yaml").read_bytes()
 
 
-def test_whole_paths_in_a_result(tmp_path):
+def test_whole_paths_in_a_result(tmp_path, blank_pictures):
     (tmp_path / "models").mkdir()
     (tmp_path / "models/mine.yaml").write_text("name: mine\nbeams: {elevation_deg: [-5, 5]}\n")
     (tmp_path / "s.yaml").write_text(Path(STUDY).read_text().replace("model: vlp-16", "model: models/mine.yaml"))

@@ -7,7 +7,7 @@ from tests.command_line import lidarcfg
 from tests.placement.test_requirements_search import CHOICE, SLIT
 
 
-def test_exit_3_where_a_requirement_is_not_met(tmp_path):
+def test_exit_3_where_a_requirement_is_not_met(tmp_path, blank_pictures):
     study = tmp_path / "study.yaml"
     study.write_text(SLIT.replace("returns: 20", "returns: 100000"))
     out = tmp_path / "out"
@@ -22,7 +22,7 @@ def test_exit_3_where_a_requirement_is_not_met(tmp_path):
     assert not json.loads(done.stdout)["rigs"][0]["verdict"]["pass"]
 
 
-def test_the_cheapest_rig(tmp_path):
+def test_the_cheapest_rig(tmp_path, blank_pictures):
     study = tmp_path / "study.yaml"
     study.write_text(CHOICE.replace("RETURNS", "300").replace("price_at_most: 13000", "price_at_most: 3999"))
     done = lidarcfg("optimize", study, "--evaluations", 20, "-o", tmp_path / "out", code=3)

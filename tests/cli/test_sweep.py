@@ -105,7 +105,7 @@ def test_a_killed_command_costs_nothing_but_time(plan, serial, tmp_path):
     while any(os.path.exists(f"/proc/{pid}/exe") for pid in children):
         assert time.monotonic() < until, "its processes outlive it"
         time.sleep(0.05)
-    said = command("sweep", plan, "-o", out)
+    said = command("sweep", plan, "-o", out, "--workers", 1)
     assert int(said.stdout.split("runs, ")[1].split()[0]) >= 2
     assert rows(out) == rows(serial)
     assert rigs(out) == rigs(serial)
@@ -151,7 +151,7 @@ def test_a_plain_error_is_a_row_of_its_own(plan, tmp_path):
     """A study that is possible, but in which a search that short finds no rig; the others go on."""
     one_tilt = "vary:\n  constraints.max_tilt_deg: [90, 0]"
     (tmp_path / "plan.yaml").write_text(plan.read_text().replace("vary:", one_tilt).replace("[1, 2]", "[1]"))
-    said = command("sweep", tmp_path / "plan.yaml", "-o", tmp_path / "out")
+    said = command("sweep", tmp_path / "plan.yaml", "-o", tmp_path / "out", "--workers", 1)
     found = rows(tmp_path / "out")
     assert said.stderr.endswith("warning: 3 runs have no rig; the column error of the table says why\n")
     assert [row["cost"] == "" for row in found] == [False] * 3 + [True] * 3

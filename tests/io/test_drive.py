@@ -1,5 +1,6 @@
 """Drives with their ground truth, read by the tools that they are for, against plain loops over the scene."""
 
+import functools
 import importlib.util
 import json
 import sys
@@ -93,6 +94,7 @@ def vehicle_pose(time_ns):
     return T
 
 
+@functools.cache
 def sensor_pose(folder, name):
     return next(mount.T_vehicle_sensor for mount in load_rig(folder / "rig.yaml").mounts if mount.name == name)
 

@@ -159,7 +159,7 @@ def test_fragments_in_disorder_come_back_whole(tmp_path):
         (tmp_path / file.name.replace("same_ports_legacy", "a")).write_bytes(file.read_bytes())
     parts = [i for i, one in enumerate(records) if int.from_bytes(one[36:38]) & 0x3FFF]
     rng, packets = np.random.default_rng(3), []
-    for _ in range(6):
+    for _ in range(2):
         order = list(rng.permutation(parts))
         repeated = [*order, order[int(rng.integers(len(order)))]]
         for mixed in (order, repeated, order[1:], [*parts[:3], *parts]):

@@ -238,8 +238,14 @@ OBJECTIVES = [
 ]
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES)
-@pytest.mark.parametrize(("method", "budget"), [("abc", "cycles: 4"), ("de", "evaluations: 220")])
+@pytest.mark.parametrize(
+    ("objective", "method", "budget"),
+    [
+        *((one, "abc", "cycles: 4") for one in OBJECTIVES),
+        (OBJECTIVES[0], "de", "evaluations: 220"),
+        *(pytest.param(one, "de", "evaluations: 220", marks=pytest.mark.nightly) for one in OBJECTIVES[1:]),
+    ],
+)
 def test_skipping_changes_no_search(boxed, objective, method, budget):
     study = boxed(objective, method, budget)
     runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]

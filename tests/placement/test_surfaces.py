@@ -212,7 +212,7 @@ GROUPS = st.sampled_from(
 )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(group=GROUPS, data=st.data())
 def test_what_does_not_violate_is_on_the_surface(tmp_path_factory, group, data):
     """Any place, any size: what has no violation lies on its body, with all of its rim, and inside its box."""

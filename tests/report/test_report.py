@@ -246,7 +246,7 @@ def test_an_evaluation_without_objects(tmp_path):
     assert f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m" in page.words
 
 
-def test_no_error_bar_where_it_would_cost_too_much(tmp_path):
+def test_no_error_bar_where_it_would_cost_too_much(tmp_path, blank_pictures):
     bare = make(tmp_path, STUDY)
     rig = load_rig(ROOT / "data/rigs/roof.yaml")
     shown = report_inputs(bare, rig, evaluate(bare, rig), cheap_cuboids=100)
@@ -274,7 +274,7 @@ def test_rigs_that_break_the_constraints_do_not_flatten_the_rest(study, found):
     assert draw_convergence(study, found).axes[0].get_ylim() == (0, pytest.approx(1.05 * most))
 
 
-def test_the_command_line_writes_it(tmp_path, monkeypatch):
+def test_the_command_line_writes_it(tmp_path, monkeypatch, blank_pictures):
     (tmp_path / "s.yaml").write_text(STUDY)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")
 
@@ -356,7 +356,7 @@ def test_mount_surfaces_are_said_and_drawn(tmp_path):
     assert "bases wholly on their surfaces" in describe_constraints(study)
 
 
-def test_of_very_many_objects_those_are_drawn_that_are_detected_least(tmp_path):
+def test_of_very_many_objects_those_are_drawn_that_are_detected_least(tmp_path, blank_pictures):
     """Twenty boxes, larger ones later: what is smaller is detected less. The table has all of them."""
     objects = [
         f"  - {{name: box{n:02}, size_m: [0.5, 0.5, {0.2 * n + 0.2:.1f}], on_ground: true}}\n" for n in range(20)

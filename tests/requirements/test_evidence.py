@@ -29,7 +29,7 @@ sensors:
   - {model: vlp-16, count: 2, min: {position_m: [0, -1, 1.5], rpy_deg: [0, 0, 0]}, max: {position_m: [0, 1, 2], rpy_deg: [0, 0, 0]}}
 prices: {vlp-16: 4000}
 requirements:
-  - {name: crates <ahead>, object: {size_m: [1, 1, 1]}, within_m: [2, 4], sector_deg: [-30, 30], headings_deg: [0, 30], returns: 10}
+  - {name: crates <ahead>, object: {size_m: [0.5, 0.5, 0.5]}, within_m: [2, 3], sector_deg: [-30, 30], headings_deg: [0, 30], returns: 10}
   - {name: moving off, post_height_m: 0.5, first_seen_at_most_m: 1, within_m: [0, 3]}
   - {name: little shadow, shadow_at_most_m3: 2, height_m: [0, 1]}
   - {name: budget, price_at_most: 8000}
@@ -238,7 +238,7 @@ def test_the_report_begins_with_the_verdict(files, found):
         ) in page
 
 
-def test_an_evaluation_begins_with_the_verdict(files):
+def test_an_evaluation_begins_with_the_verdict(files, blank_pictures):
     out = files / "evaluated"
     lidarcfg("evaluate", files / "study.yaml", files / "rig.yaml", "-o", out)
     page = (out / "report.html").read_text()

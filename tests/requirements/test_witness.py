@@ -33,7 +33,7 @@ def agreement(rigs, seed):
 
 
 def test_beside_brute_force():
-    differ, off, some = agreement(6, 11)
+    differ, off, some = agreement(3, 12)
     assert differ == []
     assert len(off) <= 1
     assert some >= 2

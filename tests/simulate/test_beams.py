@@ -24,18 +24,18 @@ def test_they_are_as_many_as_are_counted(mount):
     poses = Poses(np.ascontiguousarray(T[None, :3, :3]), np.ascontiguousarray(T[None, :3, 3]))
     counted = returns(PLACES, target, compiled([scanner(mount)]), poses, AROUND)
     for place, by_phase in zip(PLACES, counted.counts[:, 0], strict=True):
-        found = [passing_beams(place, target, mount, phase, AROUND).returns for phase in range(counted.phases[0])]
-        assert found == by_phase[: counted.phases[0]].tolist()
+        phases = range(0, counted.phases[0], 3)
+        found = [passing_beams(place, target, mount, phase, AROUND).returns for phase in phases]
+        assert found == by_phase[phases].tolist()
 
 
 def test_plain_loops_count_as_many():
     mount = MOUNTS[0]
     target = Target(OBJECT)
     corners = BODY[0][BODY[1]]
-    for place in PLACES[:2]:
-        moved = at_place(OBJECT, place)
-        want = naive.returns(mount, pattern(mount), 0.0, scanner(mount).range_m, moved[0][moved[1]], corners)
-        assert passing_beams(place, target, mount, 0, AROUND).returns == want > 0
+    moved = at_place(OBJECT, PLACES[0])
+    want = naive.returns(mount, pattern(mount), 0.0, scanner(mount).range_m, moved[0][moved[1]], corners)
+    assert passing_beams(PLACES[0], target, mount, 0, AROUND).returns == want > 0
 
 
 def test_what_hits_is_inside_the_silhouette():

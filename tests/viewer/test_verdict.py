@@ -20,7 +20,7 @@ sensors:
   - {model: vlp-16, count: 2, min: {position_m: [-1, -1, 1.5], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 1, 3], rpy_deg: [0, 0, 0]}}
 prices: {vlp-16: 4000}
 requirements:
-  - {name: crates ahead, object: {size_m: [1, 1, 1]}, within_m: [2, 4], sector_deg: [-30, 30], headings_deg: [0], returns: 60}
+  - {name: crates ahead, object: {size_m: [1, 1, 1]}, within_m: [2, 3], sector_deg: [-30, 30], headings_deg: [0], returns: 60}
   - {name: budget, price_at_most: 8000}
 """
 RIG = """name: two
@@ -46,7 +46,7 @@ def test_the_server_answers_as_verify_does(required):
     """From what it kept of the sensor that stays, too; what cannot be verified is the user's mistake."""
     poses = poses_of(required.rigs[0])
     with serving(required) as url:
-        for by_m in (0.0, 0.3, 1.3, 0.0):
+        for by_m in (0.0, 1.3, 0.0):
             poses[0, 2] = 1.6 + by_m
             answer = json.loads(asked(url, "POST", "/verify", json.dumps({"poses": poses.tolist()}))[1])
             want = verdict_of(required, poses)

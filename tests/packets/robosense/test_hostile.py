@@ -24,7 +24,7 @@ def test_changed_bytes(model, mode, tmp_path):
     msop = maker.encode(of, batch, rng.uniform(1, 40, shape), rng.integers(0, 256, shape, np.uint8)).data
     difop = next(maker.housekeeping(of, None, None, START_NS, 1))
     good, errors = 0, []
-    for _ in range(60):
+    for _ in range(20):
         sent, said = msop.copy(), difop.data[0].copy()
         for _ in range(rng.integers(1, 4)):
             column = rng.integers(46) if rng.random() < 0.6 else rng.integers(1248)
