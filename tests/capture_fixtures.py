@@ -50,7 +50,8 @@ def mount(index: int = 0, position_m=(0.0, 0.0, 2.0), rpy_deg=(0.0, 0.0, 0.0), r
 
 def hdl_64e(name: str) -> Sensor:
     """An HDL-64E with beams of its own: corrections near by, focal distances and limits of intensity too."""
-    sensor, rng = load_sensor(name), np.random.default_rng(2)
+    sensor = load_sensor(name)
+    rng = np.random.default_rng(2)
 
     def table(low: int, high: int, scale: int = 1) -> tuple[float, ...]:
         return tuple((rng.integers(low, high, 64) / scale).tolist())
@@ -112,7 +113,8 @@ def recording(name: str) -> Path:
 
 def frames(datagrams):
     """Datagrams as a VLP-16 frames them, one by one; position packets are numbered, those of each sender alone."""
-    headers, numbers = facts(load_sensor("vlp-16")).headers, {}
+    headers = facts(load_sensor("vlp-16")).headers
+    numbers = {}
     for datagram in datagrams:
         header = headers.position if len(datagram.payload) == POSITION.itemsize else headers.data
         number = numbers[datagram.host] = numbers.get(datagram.host, -1) + header.numbered

@@ -17,7 +17,8 @@ SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SI
 
 def lidarcfg(*words, code=0, cwd="."):
     """What `lidarcfg words` prints in a folder, after it ended with `code`; a bug is raised."""
-    out, errors = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    errors = io.StringIO()
     handlers = {number: signal.getsignal(number) for number in SIGNALS}
     try:
         with (

@@ -140,9 +140,13 @@ def along_a_cone(rng, count=64):
     Returns the LiDAR, the LiDAR in 50 digits, points (count, 3) and the line's axis.
     """
     while True:
-        fan, rpy = FANS[rng.integers(len(FANS))], angles(rng)
-        beam, along = int(rng.integers(len(fan))), int(rng.integers(3))
-        elevation, azimuth, distance = np.radians(fan[beam]), rng.uniform(0, TURN), 10 ** rng.uniform(-1, 2.5)
+        fan = FANS[rng.integers(len(FANS))]
+        rpy = angles(rng)
+        beam = int(rng.integers(len(fan)))
+        along = int(rng.integers(3))
+        elevation = np.radians(fan[beam])
+        azimuth = rng.uniform(0, TURN)
+        distance = 10 ** rng.uniform(-1, 2.5)
         a = lidar((0, 0, 0), rpy, np.zeros(1)).axis
         side = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
         side /= np.linalg.norm(side)
@@ -150,7 +154,9 @@ def along_a_cone(rng, count=64):
         way = distance * (np.sin(elevation) * a + np.cos(elevation) * round_)
         point = rng.uniform(-1, 1, 3) * 10.0 ** rng.integers(-3, 2)
         known, exact = sensor(point - way, rpy, fan)
-        t, axis, sine = exact.long("position"), exact.long("axis"), exact.long("sine")[beam]
+        t = exact.long("position")
+        axis = exact.long("axis")
+        sine = exact.long("sine")[beam]
         x = point.astype(np.longdouble)
         slope = np.longdouble(0)
         for _ in range(4):  # Newton along the line

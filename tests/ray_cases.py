@@ -34,7 +34,9 @@ end_header
 GRAZED_M = 1e-3  # how deep a ray must go into a body, so that it does not only graze its outline
 DIFFERENT_M = 1e-3  # ranges of ours and Open3D's that are further apart are looked into
 KINDS = ("anywhere", "along an axis", "grazing", "at an edge", "sliver", "without area", "from the surface")
-PLANE_OFF, EDGE_OFF, RANGE_OFF = 1e-10, 1e-15, 1e-9  # at most, as fractions of the distance
+PLANE_OFF = 1e-10
+EDGE_OFF = 1e-15
+RANGE_OFF = 1e-9  # at most, as fractions of the distance
 GRAZING = 1e-5  # the sine of the angle to a triangle below which a range is only as good as its plane
 PLACES_M = (0.0, 1e3, -1e6, 9.9e7)
 
@@ -93,11 +95,14 @@ def body_at(folder, name, place, tolerance_m=0.001):
 
 def aimed(body, inside, rng, count):
     """Of `count` rays aimed at vertices and edges of a convex body, from inside or outside, those that surely hit it."""
-    vertices, triangles = body.vertices_m, body.triangles
-    which, corner = rng.integers(len(triangles), size=count), rng.integers(3, size=count)
+    vertices = body.vertices_m
+    triangles = body.triangles
+    which = rng.integers(len(triangles), size=count)
+    corner = rng.integers(3, size=count)
     part = rng.choice((0.0, 1 / 3, 0.5, 0.9), (count, 1))  # 0: a vertex
     one, other = vertices[triangles[which, corner]], vertices[triangles[which, (corner + 1) % 3]]
-    aim, middle = (1 - part) * one + part * other, vertices.mean(axis=0)
+    aim = (1 - part) * one + part * other
+    middle = vertices.mean(axis=0)
     beside = rng.uniform(-0.1, 0.1, 3) * bool(rng.integers(2))
     start = middle + (beside if inside else unit(rng.normal(size=3)) * rng.uniform(35, 300))
     way = unit(aim - start)
@@ -111,7 +116,8 @@ def half_spaces(corners):
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1)
     has_area = length > 1e-12
-    normal, corner = normal[has_area] / length[has_area, None], corners[has_area, 0]
+    normal = normal[has_area] / length[has_area, None]
+    corner = corners[has_area, 0]
     offset = (corner * normal).sum(axis=1)
     planes = np.column_stack([normal * np.sign(offset)[:, None], np.abs(offset)])
     return planes[np.unique(planes.round(9), axis=0, return_index=True)[1]]
@@ -120,7 +126,9 @@ def half_spaces(corners):
 def through(planes, start, way):
     """Where rays (N, 3) enter and leave the half-spaces' common body, and how deep in it they are halfway."""
     x, y, z = np.ascontiguousarray(way.T)
-    enter, leave, depth = np.full(len(way), -np.inf), np.full(len(way), np.inf), np.full(len(way), np.inf)
+    enter = np.full(len(way), -np.inf)
+    leave = np.full(len(way), np.inf)
+    depth = np.full(len(way), np.inf)
     room = [d - a * start[0] - b * start[1] - c * start[2] for a, b, c, d in planes]
     for (a, b, c, _), left in zip(planes, room, strict=True):
         rise = a * x + b * y + c * z
@@ -158,7 +166,8 @@ class Differences(NamedTuple):
 
 
 def open3d_scene(vertices, triangles):
-    theirs, tensor = o3d.t.geometry.RaycastingScene(), o3d.core.Tensor.from_numpy
+    theirs = o3d.t.geometry.RaycastingScene()
+    tensor = o3d.core.Tensor.from_numpy
     theirs.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
     return theirs
 
@@ -206,7 +215,8 @@ def case(rng, kind):
         corners[2] = (corners[0] + corners[1]) / 2 + rng.normal(size=3) * size * 10 ** rng.uniform(-11, -3)
     elif kind == "without area":
         step = np.round(corners[1] * 2**10) / 2**10
-        corners[1], corners[2] = corners[0] + step, corners[0] + rng.integers(0, 3) * step
+        corners[1] = corners[0] + step
+        corners[2] = corners[0] + rng.integers(0, 3) * step
     corners = corners + place
     if kind == "at an edge":
         weights = np.roll((0.0, *rng.choice([(0.5, 0.5), (1, 0), (0.1, 0.9)])), rng.integers(3))
@@ -220,7 +230,8 @@ def case(rng, kind):
     if kind == "along an axis":
         way = np.roll((rng.choice((-1.0, 1.0)), 0.0, 0.0), rng.integers(3))
     elif kind == "grazing":
-        angle, turn = 10 ** rng.uniform(-9, -1), rng.uniform(0, 2 * np.pi)
+        angle = 10 ** rng.uniform(-9, -1)
+        turn = rng.uniform(0, 2 * np.pi)
         flat = np.cos(turn) * edge + np.sin(turn) * np.cross(normal, edge)
         way = unit(np.cos(angle) * flat + np.sin(angle) * normal)
     distance = 0.0 if kind == "from the surface" else size * 10 ** rng.uniform(-1, 3)

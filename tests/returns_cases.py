@@ -42,7 +42,9 @@ def lidars(mounts):
 
 def revolution(one, phase, phases):
     """The firings that the codec schedules in one revolution that starts in a phase, 0 or another of so many."""
-    how, fired, start_ns = codec(one.sensor), pattern(one), 1_700_000_000 * SECOND_NS
+    how = codec(one.sensor)
+    fired = pattern(one)
+    start_ns = 1_700_000_000 * SECOND_NS
     packets = math.ceil(MINUTE_NS / one.rpm / how.pace(one).period_ns) + 2
 
     def scheduled(phase_deg):

@@ -268,7 +268,8 @@ def test_the_demo(project, blank_pictures, capsys):
         run(quick(words))
     code = re.search(r"<<'PYTHON'\n(.*?)^PYTHON$", script, re.DOTALL | re.MULTILINE)[1]
     capsys.readouterr()
-    argv, sys.argv = sys.argv, ["-", "out/demo"]
+    argv = sys.argv
+    sys.argv = ["-", "out/demo"]
     try:
         exec(compile(code, "demo-commands.sh", "exec"), {})
     finally:
@@ -447,7 +448,8 @@ def test_the_sensor_of_the_page_decodes_as_it_fired(project):
     run(
         ["decode", "out/it.pcap", "--rig", "none", "--model", "mine.yaml", "-o", "out/cloud.npz"]
     )  # in the sensor's own frame
-    cloud, sensor = load_cloud("out/cloud.npz", print), lidarcfg.load_sensor("mine.yaml")
+    cloud = load_cloud("out/cloud.npz", print)
+    sensor = lidarcfg.load_sensor("mine.yaml")
     with np.load("out/it.npz") as truth:
         order = np.lexsort((truth["laser"], truth["time_ns"]))
         range_m, laser, time_ns = (truth[key][order] for key in ("range_m", "laser", "time_ns"))

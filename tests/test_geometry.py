@@ -32,7 +32,8 @@ def test_rotation_is_proper_and_orthonormal(rpy):
 def test_quaternions_are_those_of_scipy(many):
     """Of either sign, which is rounding's where two of the four are equally large."""
     R = np.array([geometry.rotation(rpy) for rpy in many])
-    found, theirs = geometry.quaternions(R), Rotation.from_matrix(R).as_quat()
+    found = geometry.quaternions(R)
+    theirs = Rotation.from_matrix(R).as_quat()
     assert found * np.sign((found * theirs).sum(axis=1, keepdims=True)) == pytest.approx(theirs, abs=1e-14)
     assert geometry.quaternions(R[0]) == pytest.approx(found[0], abs=0)
 

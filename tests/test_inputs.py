@@ -235,7 +235,8 @@ LONG = "# " + "x" * LARGE + "\n"
 def test_a_large_file_says_what_a_small_one_does():
     """Read by libyaml, the other by PyYAML: the same values at the same places, and errors at the same."""
     text = "a: [1, 0x10, 0o17, 1e-5, .5, true, ~, on, 'x', \"\\u00e4\"]\nb:\n  - {c: &d [1, 2], e: *d}\n  - |\n    two\n    lines\n"
-    small, large = Document("#\n" + text, "a"), Document(LONG + text, "a")
+    small = Document("#\n" + text, "a")
+    large = Document(LONG + text, "a")
     assert large.value == small.value
     assert large.places == small.places
     assert small.value["a"] == (1, 16, 15, 1e-5, 0.5, True, None, "on", "x", "ä")

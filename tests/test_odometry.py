@@ -15,7 +15,8 @@ from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 
 ROOT = Path(__file__).parents[1]
-SUBURB, DRIVE = ROOT / "data/scenes/suburb.yaml", ROOT / "data/trajectories/suburb.tum"
+SUBURB = ROOT / "data/scenes/suburb.yaml"
+DRIVE = ROOT / "data/trajectories/suburb.tum"
 RIG = "name: one\nsensors:\n  - {name: vlp, model: vlp-16, position_m: [0.3, 0, 1.9]}\n"
 
 
@@ -41,10 +42,12 @@ def test_the_files_are_what_the_script_makes(tool, tmp_path):
 
 def test_the_car_is_on_the_road_and_clear_of_everything():
     """Straight down the land is where the pose has it; around it, at the height of its lamps, nothing for a metre."""
-    scene, path = load_scene(SUBURB), load_path(DRIVE)
+    scene = load_scene(SUBURB)
+    path = load_path(DRIVE)
     assert path.times_s[0] == 0
     assert path.times_s[-1] >= 60
-    drive, tracer = Trajectory(np.eye(4), path, 0), Tracer(scene, np.zeros(3))
+    drive = Trajectory(np.eye(4), path, 0)
+    tracer = Tracer(scene, np.zeros(3))
     angle = np.radians(np.arange(0, 360, 5))
     around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     to_body = 1 / np.maximum(abs(around[:, 0]) / 2.4, abs(around[:, 1]) / 0.95)
@@ -65,7 +68,8 @@ def test_odometry_tracks_the_beginning_of_the_drive(tmp_path):
     pytest.importorskip("kiss_icp", reason="no wheel of kiss-icp for this Python and system")
     (tmp_path / "rig.yaml").write_text(RIG)
     lidarcfg.export(tmp_path / "rig.yaml", SUBURB, tmp_path / "bag", 10.0, to="rosbag2", trajectory=DRIVE)
-    drive, mount = Trajectory(np.eye(4), load_path(DRIVE), START_NS), load_rig(tmp_path / "rig.yaml").mounts[0]
+    drive = Trajectory(np.eye(4), load_path(DRIVE), START_NS)
+    mount = load_rig(tmp_path / "rig.yaml").mounts[0]
     ends_ns, found = odometry(tmp_path / "bag")
     truth = np.array([drive.pose(int(end_ns)) @ mount.T_vehicle_sensor for end_ns in ends_ns])
     track, true = (np.linalg.inv(poses[0]) @ poses for poses in (found, truth))
@@ -88,7 +92,9 @@ def odometry(bag):
     from rosbags.highlevel import AnyReader
 
     settings = KISSConfig(data=DataConfig(max_range=100.0), mapping=MappingConfig(voxel_size=1.0))
-    estimate, ends_ns, poses = KissICP(settings), [], []
+    estimate = KissICP(settings)
+    ends_ns = []
+    poses = []
     with AnyReader([bag]) as reader:
         topic = next(one for one in reader.connections if one.topic == "/vlp/points")
         for connection, end_ns, raw in reader.messages([topic]):

@@ -88,7 +88,8 @@ def assert_read_back(study, folder):
         path = folder / "elsewhere" / "study.yaml"
         path.parent.mkdir(exist_ok=True)
         path.write_text(yaml_text(one.file))
-        again, file = library.load_study(path), load(path, StudyFile)
+        again = library.load_study(path)
+        file = load(path, StudyFile)
         assert again.file == one.file
         assert fingerprint(again) == fingerprint(one)
         assert loads(yaml_text(whole_values(file, Path())), StudyFile, "again") == file

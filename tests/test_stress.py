@@ -50,9 +50,11 @@ def labels_of(region, lidars):
 
 
 def test_labels_of_random_rigs():
-    rng, tally = np.random.default_rng(1), oracle.Tally()
+    rng = np.random.default_rng(1)
+    tally = oracle.Tally()
     for _ in range(25):
-        edge, low = 10 ** rng.uniform(-2, 1, 3), rng.uniform(-1, 1, 3) * 10 ** rng.uniform(0, 4)
+        edge = 10 ** rng.uniform(-2, 1, 3)
+        low = rng.uniform(-1, 1, 3) * 10 ** rng.uniform(0, 4)
         region = Region(low, low + (12, 10, 8) * edge, np.ones((12, 10, 8), bool))
         position = low + rng.uniform(-0.5, 1.5, 3) * (12, 10, 8) * edge
         known, exact = oracle.sensor(position, oracle.angles(rng), oracle.FANS[rng.integers(3)])
@@ -62,7 +64,8 @@ def test_labels_of_random_rigs():
 
 def test_labels_within_1e_15_of_a_cone():
     """Rows and single points agree there; what is on the wrong side is nearer than a quarter of the band."""
-    rng, tally = np.random.default_rng(2), oracle.Tally()
+    rng = np.random.default_rng(2)
+    tally = oracle.Tally()
     for _ in range(60):
         known, exact, points, along = oracle.along_a_cone(rng)
         line = oracle.Line(points, along)
@@ -111,7 +114,8 @@ def test_ties_belong_above(far):
 def test_odd_poses(place):
     rng = np.random.default_rng(3)
     region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25), (((2, 1, 0), (3, 2, 1)),))
-    points, tally = oracle.points_of(region), oracle.Tally()
+    points = oracle.points_of(region)
+    tally = oracle.Tally()
     for angle in oracle.ANGLES:
         rpy = np.roll([angle, rng.choice(oracle.ANGLES), 0.3], rng.integers(3))
         known, exact = oracle.sensor(oracle.PLACES[place], rpy, oracle.FANS[1])
@@ -169,8 +173,10 @@ def test_moved_and_scaled_without_rounding(scale, by):
     """Coordinates that stay exact: the same labels, bit for bit, and the scaled VSR."""
     if scale < 1:
         by = np.multiply(by, scale)
-    region, lidars = boxes(), some_rig(np.random.default_rng(4))
-    before, after = segment(region, lidars), segment(*moved(region, lidars, scale, by))
+    region = boxes()
+    lidars = some_rig(np.random.default_rng(4))
+    before = segment(region, lidars)
+    after = segment(*moved(region, lidars, scale, by))
     assert np.array_equal(before.label, after.label)
     assert np.array_equal(before.gap, after.gap)
     assert (vsr_m(before) * scale).tolist() == vsr_m(after).tolist()
@@ -186,7 +192,8 @@ def test_moved_and_scaled_with_rounding(scale, by):
         known, exact = oracle.sensor(rng.uniform((1, 1, 0.5), (7, 5, 2.5)), oracle.angles(rng), FAN)
         region = boxes()
         far, (other,) = moved(region, [known], scale, by)
-        before, after = beam_gaps(region, known).ravel(), beam_gaps(far, other).ravel()
+        before = beam_gaps(region, known).ravel()
+        after = beam_gaps(far, other).ravel()
         labels_of(far, [other])
         points = oracle.points_of(region)
         ulp = max(np.spacing(np.abs(far.min_m).max()), np.spacing(np.abs(far.max_m).max())) / scale
@@ -218,7 +225,8 @@ def study_at(tmp_path, east, north):
 @pytest.mark.parametrize(("east", "north"), [(512_345, 5_412_345), (-9_999_999, 1e7)])
 def test_a_study_at_utm_coordinates(tmp_path, east, north):
     """Corners that are no doubles there divide all the same, and the search goes the same way."""
-    here, there = study_at(tmp_path, 0, 0), study_at(tmp_path, east, north)
+    here = study_at(tmp_path, 0, 0)
+    there = study_at(tmp_path, east, north)
     assert there.region.shape == here.region.shape == (10, 10, 15)
     assert there.region.cuboid_m == pytest.approx(here.region.cuboid_m, rel=1e-8)
     found = [optimize(one, threads=1) for one in (here, there)]
@@ -356,7 +364,8 @@ def test_nan_from_an_objective_is_no_result(tmp_path, objective):
 @pytest.mark.parametrize("objective", ["flat", "infinite", "half infinite", "huge"])
 def test_objectives_without_a_slope(name, objective):
     make = {**SOLVERS, "lshade": lambda d, seed: Lshade(d, np.random.default_rng(seed), 3000)}[name]
-    solver, asked = make(2, 1), 0
+    solver = make(2, 1)
+    asked = 0
     while asked < 1500:
         x = solver.ask().x
         assert ((x >= 0) & (x <= 1)).all()
@@ -446,7 +455,8 @@ def test_what_is_decoded_far_from_the_origin(tmp_path, vehicle, position):
     """Range within half a step, time within 1 µs, azimuth within 0.005°, and 0.014° in the very last block."""
     T_world_vehicle = pose(vehicle, (0.0, 0.0, 0.2))
     sensor_mount = mount(0, position, (4.0, -3.0, 20.0))
-    rig, sensor = Rig("far", (sensor_mount,)), sensor_mount.sensor
+    rig = Rig("far", (sensor_mount,))
+    sensor = sensor_mount.sensor
     T = T_world_vehicle @ sensor_mount.T_vehicle_sensor
     centre = T[:3, 3] + (1.0, -2.0, 0.5)
     count = 80

@@ -14,7 +14,8 @@ ROOT = Path(__file__).parents[1]
 
 def test_triangles_by_hand():
     """Through the inside, an edge, a corner, beside it, and away from it."""
-    vertices, triangles = np.array([[0.0, 0, 5], [4, 0, 5], [0, 4, 5]]), np.array([[0, 1, 2]])
+    vertices = np.array([[0.0, 0, 5], [4, 0, 5], [0, 4, 5]])
+    triangles = np.array([[0, 1, 2]])
     origins = np.array([[1.0, 1, 0], [2, 2, 0], [0, 0, 0], [2.1, 2, 0], [1, 1, 6]])
     ranges, which = first_triangle(vertices, triangles, origins, np.tile([0.0, 0, 1], (5, 1)))
     assert ranges.tolist() == [5, 5, 5, np.inf, np.inf]

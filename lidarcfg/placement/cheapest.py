@@ -3,7 +3,7 @@
 Combinations are searched in rounds. In the first, each is tried with the plain rigs alone; in each further one its
 search goes on until it has FIRST evaluations, then GROWTH times as many, and so on. A round ends at the first
 combination that has a verified rig; from then on only cheaper ones are searched, for one more round after each find.
-So the answer depends on the evaluations alone, not on how many workers there are. Those that cost too much, or have
+So a search that its budget does not end finds the same with any number of workers. Those that cost too much, or have
 too many sensors, are not searched, nor those of which it is known beforehand that they miss a requirement.
 """
 
@@ -96,9 +96,10 @@ def cheapest(
 ) -> Cheapest:
     """Find the cheapest combination of a study with a rig that meets all requirements.
 
-    With `workers` combinations are searched there, each by one thread; the result is the same. An interrupt (Ctrl-C)
-    ends the search and keeps what is found so far. Raises ConfigError without a choice, without requirements, and if
-    no combination has a rig that meets the constraints.
+    With `workers` combinations are searched there, each by one thread; the result is the same, unless the budget ends
+    within a round, as the last ones may be others. An interrupt (Ctrl-C) ends the search and keeps what is found so
+    far. Raises ConfigError without a choice, without requirements, and if no combination has a rig that meets the
+    constraints.
     """
     if not study.to_choose:
         raise ConfigError("nothing to choose in the study: no group has `choose`")

@@ -35,7 +35,8 @@ def sent(request, tmp_path_factory):
 
 def rewritten(path, port, change):
     """The capture in the same place with its data packets changed by number; those that become None are left out."""
-    new, number = [], 0
+    new = []
+    number = 0
     for one in datagrams_of(path):
         if one.port == port:
             payload = change(number, one.payload)

@@ -72,7 +72,8 @@ def test_sizes_around_the_mtu(tmp_path, size):
 @given(st.data())
 def test_any_order_and_repetition(tmp_path_factory, data):
     """Fragments of two senders mixed: each datagram comes once, when its last fragment does; the others are counted."""
-    rows, records = {}, []
+    rows = {}
+    records = []
     for host in ("10.0.0.7", "10.0.0.8"):
         octets, made = sent(data.draw(st.integers(1473, 7000)), 2, host)
         rows |= {(host, i): row.tobytes() for i, row in enumerate(octets)}

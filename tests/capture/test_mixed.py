@@ -44,7 +44,8 @@ DRIVEN = Trajectory(
 
 def sent(folder, rig, at=None):
     """A capture in the street with what readers need beside it, and the ground truth."""
-    path, truth = folder / "mixed.pcap", []
+    path = folder / "mixed.pcap"
+    truth = []
     streams = simulated_frames(
         rig, load_scene(STREET), np.eye(4) if at is None else at, DURATION_NS, on_truth=truth.append
     )
@@ -84,11 +85,14 @@ def ring_of(rig, truth):
 
 def matched(rig, path, truth):
     """The decoded points and the records of the truth, row by row the same return of the same firing."""
-    cloud, ring = decoded(path, rig), ring_of(rig, truth)
+    cloud = decoded(path, rig)
+    ring = ring_of(rig, truth)
     assert len(cloud.xyz) == len(truth) > 100_000
-    mine, true = [], []
+    mine = []
+    true = []
     for index in range(len(rig.mounts)):
-        some, records = np.flatnonzero(cloud.sensor == index), np.flatnonzero(truth["sensor"] == index)
+        some = np.flatnonzero(cloud.sensor == index)
+        records = np.flatnonzero(truth["sensor"] == index)
         assert len(some) == len(records) > 1000
         mine.append(some[in_order(cloud.ring[some], cloud.return_type[some], cloud.time_ns[some])])
         true.append(records[in_order(ring[records], truth["return_type"][records], truth["time_ns"][records])])
@@ -258,7 +262,8 @@ def test_replayed_payloads_are_the_sensors(still):
 def test_a_bag_has_each_sensor(rig, still, tmp_path):
     """A topic a sensor, all of its points in its own frame, and the poses; read back by rosbags."""
     lidarcfg("convert", still[0], "-o", tmp_path / "mixed.mcap", "--rig", RIG, "--quiet")
-    cloud, found = decoded(still[0], rig), {}
+    cloud = decoded(still[0], rig)
+    found = {}
     with AnyReader([tmp_path / "mixed.mcap"]) as reader:
         for connection, _, raw in reader.messages():
             found.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
@@ -322,7 +327,8 @@ def test_an_ousters_fragments(still, tmp_path, change):
     for beside in still[0].parent.glob("mixed-*"):
         (tmp_path / beside.name).write_bytes(beside.read_bytes())
     raw = still[0].read_bytes()
-    records, at = [], 24
+    records = []
+    at = 24
     while at < len(raw):
         end = at + 16 + int.from_bytes(raw[at + 8 : at + 12], "little")
         records.append(raw[at:end])
@@ -339,7 +345,8 @@ def test_an_ousters_fragments(still, tmp_path, change):
     else:
         records[chosen - 1 : chosen + 3] = reversed(records[chosen - 1 : chosen + 3])
     path.write_bytes(raw[:24] + b"".join(records))
-    said, stats = [], []
+    said = []
+    stats = []
     cloud = concatenate(list(decode_pcap(path, said.append, on_stats=stats.append)))
     whole = decoded(still[0])
     lost = change in ("missing", "overlapping")
@@ -368,7 +375,8 @@ def test_memory_does_not_grow_with_the_capture(still, tmp_path):
     """The same packets three times as often: as much memory at most, of what Python and numpy take."""
     for one in still[0].parent.iterdir():
         (tmp_path / one.name).write_bytes(one.read_bytes())
-    path, data = tmp_path / still[0].name, still[0].read_bytes()
+    path = tmp_path / still[0].name
+    data = still[0].read_bytes()
 
     def taken(times):
         path.write_bytes(data[:24] + data[24:] * times)

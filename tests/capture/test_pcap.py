@@ -133,8 +133,12 @@ def test_pcapng_and_vlan(tmp_path):
 def test_other_traffic_is_passed_over(tmp_path):
     write_pcap(tmp_path / "a.pcap", [data()])
     frame = bytearray(frames(tmp_path / "a.pcap")[0])
-    tcp, fragment, arp = bytearray(frame), bytearray(frame), bytearray(frame)
-    tcp[23], fragment[20], arp[12:14] = 6, 0x20, b"\x08\x06"
+    tcp = bytearray(frame)
+    fragment = bytearray(frame)
+    arp = bytearray(frame)
+    tcp[23] = 6
+    fragment[20] = 0x20
+    arp[12:14] = b"\x08\x06"
     with open(tmp_path / "b.pcap", "wb") as file:
         writer = dpkt.pcap.Writer(file)
         for other in (tcp, fragment, arp, frame[:20], b"", frame):
@@ -250,7 +254,8 @@ def pcapng(path, ticks, resolution):
 
 def test_interfaces_and_sections_of_a_pcapng(tmp_path):
     """Each interface has its own kind of link and clock, each section its own interfaces and order of bytes."""
-    cooked, second = bytes(14) + FRAME[12:], 1_700_000_000
+    cooked = bytes(14) + FRAME[12:]
+    second = 1_700_000_000
     raw = section() + interface("<", 1) + interface("<", 113, 9) + interface("<", 195) + interface("<", 101, 138, 40)
     raw += packet("<", 0, second * 10**6 + 7, FRAME) + packet("<", 1, second * 10**9 + 8001, cooked)
     raw += packet("<", 2, 5, b"of a link that is not known") + packet("<", 3, (second - 40) * 1024 + 512, FRAME[14:])

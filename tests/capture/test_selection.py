@@ -104,7 +104,8 @@ def test_windows_side_by_side_are_the_whole(capture, full):
 
 def test_chosen_sensors(capture):
     """By address or by mount; the others leave no trace, and the rig's numbers stay."""
-    full, rig = decoded(capture, rig=tilted_rig()), tilted_rig()
+    full = decoded(capture, rig=tilted_rig())
+    rig = tilted_rig()
     for selection in (Selection(sensors=("lidar_1",)), Selection(sensors=("192.168.1.202:2368",))):
         stats = []
         part = decoded(capture, rig=rig, selection=selection, on_stats=stats.append)
@@ -156,7 +157,8 @@ def test_records_are_found_in_the_middle_of_any_pcap(tmp_path, magic, order):
 
 def test_real_windows():
     path = recording("veloview_hdl32e_monterey.pcap")
-    full, part = decoded(path), decoded(path, selection=Selection(0.3, 0.4))
+    full = decoded(path)
+    part = decoded(path, selection=Selection(0.3, 0.4))
     first = np.flatnonzero((full.xyz == part.xyz[0]).all(axis=1))[0]
     for key in FIELDS:
         np.testing.assert_array_equal(getattr(part, key), getattr(full, key)[first : first + len(part.xyz)])

@@ -32,7 +32,8 @@ def made(request, tmp_path_factory):
     for i, mount in enumerate(load_rig(RIG).mounts):
         realism = Realism(seed=i, range_noise_m=0.02, dropout_fraction=0.1, divergence=mount.sensor.optics is not None)
         mounts.append(replace(mount, realism=realism, return_mode=request.param or mount.return_mode))
-    rig, street = replace(load_rig(RIG), mounts=tuple(mounts)), load_scene(STREET)
+    rig = replace(load_rig(RIG), mounts=tuple(mounts))
+    street = load_scene(STREET)
     save_rig(rig, folder / "rig.yaml")
     with TruthFile(folder / "t.npz", [mount.name for mount in rig.mounts], street.names) as truth:
         write_pcap(
@@ -65,10 +66,12 @@ def test_each_point_has_one_record_and_each_record_one_point(made):
     points = by_laser(cloud.sensor, cloud.ring, second, cloud.time_ns)
     records = by_laser(truth["sensor"], ring, recorded, truth["time_ns"])
     assert points.keys() == records.keys()
-    here, there = [], []
+    here = []
+    there = []
     for key, rows in points.items():
         assert len(rows) == len(records[key])
-        here, there = here + rows, there + records[key]
+        here = here + rows
+        there = there + records[key]
     assert abs(cloud.time_ns[here] - truth["time_ns"][there]).max() <= 1000
     for i, mount in enumerate(rig.mounts):
         mine = cloud.sensor[here] == i

@@ -97,7 +97,8 @@ def test_the_results_of_a_search(out):
 
 def test_an_evaluation_says_the_same(out, blank_pictures):
     found = run("evaluate", STUDY, out / "two/rig.yaml", "--json", "-o", out / "evaluated")
-    result, asked = json.loads(found.stdout), json.loads((out / "two/result.json").read_text())
+    result = json.loads(found.stdout)
+    asked = json.loads((out / "two/result.json").read_text())
     for key in ("max_vsr_m", "subspaces", "detection", "worst", "rig", "version"):
         assert result[key] == asked[key]
     assert json.loads((out / "evaluated/result.json").read_text())["max_vsr_m"] == result["max_vsr_m"]

@@ -149,7 +149,8 @@ def test_a_mesh_in_millimetres_makes_the_study_of_the_mesh_in_metres(tmp_path):
     (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "mm.ply"))
     (usual,) = write_template("study", tmp_path / "usual.yaml", str(ROOT / "data/vehicles/truck.ply"))
     assert "#     By its size the file's unit is the millimetre; scale makes it metres\n" in study.read_text()
-    own, known = load_study(study), load_study(usual)
+    own = load_study(study)
+    known = load_study(usual)
     assert own.vehicle.warnings == ()
     assert np.array_equal(own.upper, known.upper)
     assert own.region.included.sum() == known.region.included.sum() == 47_630

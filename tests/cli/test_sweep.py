@@ -112,7 +112,8 @@ def test_a_killed_command_costs_nothing_but_time(plan, serial, tmp_path):
 
 
 def test_a_worker_that_is_killed_is_replaced(plan, serial):
-    loaded, found = load_plan(plan), {}
+    loaded = load_plan(plan)
+    found = {}
     crew = Processes(2)
 
     def done(run, outcome):
@@ -158,7 +159,8 @@ def test_a_plain_error_is_a_row_of_its_own(plan, tmp_path):
     assert all("found no rig that keeps the constraints" in row["error"] for row in found[3:])
     assert command("sweep", tmp_path / "plan.yaml", "-o", tmp_path / "out").stdout.startswith("6 runs, 6 of them done")
     again = load_plan(tmp_path / "plan.yaml")
-    folder, run = SweepFolder(tmp_path / "out", again), again.runs[0]
+    folder = SweepFolder(tmp_path / "out", again)
+    run = again.runs[0]
     assert folder.row(run)["run"] == 1
     for damaged in ("", "null", "[1]", '{"cost": 1'):
         (tmp_path / "out/runs" / run.digest / "result.json").write_text(damaged)
@@ -177,7 +179,8 @@ class Dead:
 
 
 def test_a_run_that_kills_every_worker_ends(plan):
-    loaded, found = load_plan(plan), {}
+    loaded = load_plan(plan)
+    found = {}
     sweep(loaded, loaded.runs, Dead(), lambda run, outcome: found.update({run.number: outcome}))
     assert found.keys() == set(range(1, 7))
     assert all("its worker ended 5 times" in one.error and not one.lasting for one in found.values())

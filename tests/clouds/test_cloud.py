@@ -100,7 +100,8 @@ def test_open3d_reads_every_field(tmp_path, suffix, capfd):
     if suffix == "pcd":
         assert (theirs["time_ns"].numpy().ravel() == ours.time_ns).all()
     else:
-        seconds, rest = theirs["time_s"].numpy().ravel(), theirs["time_rest_ns"].numpy().ravel()
+        seconds = theirs["time_s"].numpy().ravel()
+        rest = theirs["time_rest_ns"].numpy().ravel()
         assert (seconds.astype(np.int64) * 10**9 + rest == ours.time_ns).all()
 
 

@@ -63,8 +63,10 @@ def test_pcd_compressed_by_open3d(tmp_path):
 
     rng = np.random.default_rng(1)
     cloud = o3d.t.geometry.PointCloud()
-    xyz, intensity = rng.normal(size=(500, 3)).astype(np.float32), rng.integers(0, 256, (500, 1)).astype(np.float32)
-    cloud.point.positions, cloud.point.intensity = o3d.core.Tensor(xyz), o3d.core.Tensor(intensity)
+    xyz = rng.normal(size=(500, 3)).astype(np.float32)
+    intensity = rng.integers(0, 256, (500, 1)).astype(np.float32)
+    cloud.point.positions = o3d.core.Tensor(xyz)
+    cloud.point.intensity = o3d.core.Tensor(intensity)
     for ascii_too in ({"write_ascii": True}, {"compressed": True}, {}):
         assert o3d.t.io.write_point_cloud(str(tmp_path / "a.pcd"), cloud, **ascii_too)
         found, told = loaded(tmp_path / "a.pcd", (tmp_path / "a.pcd").read_bytes())

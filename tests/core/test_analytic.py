@@ -37,9 +37,12 @@ def swept(label, within=None, lidars=0):
     n = label.max(initial=-1) + 1
     lines = 4 * label.shape[1] * label.shape[2]
     sheaf = SimpleNamespace(axis=2, label=label, within=np.ones(label.shape, bool) if within is None else within)
-    sheaf.low, sheaf.edge, sheaf.cones = (0.0, 0.0, 0.0), (0.5, 1.0, 2.0), np.zeros((lidars, 6))
+    sheaf.low = (0.0, 0.0, 0.0)
+    sheaf.edge = (0.5, 1.0, 2.0)
+    sheaf.cones = np.zeros((lidars, 6))
     flips = SimpleNamespace(start=np.ones((lidars + 1, lines), bool), first=np.zeros(lines * (lidars + 1) + 1, int))
-    flips.at, flips.weight = np.empty(0), np.empty(0)
+    flips.at = np.empty(0)
+    flips.weight = np.empty(0)
     sums = SimpleNamespace(volume=np.zeros(n), shadow=np.zeros(n), surface=np.zeros(n), parent=np.arange(n))
     return sheaf, np.zeros((n, lidars), int), np.zeros((lidars, 6)), flips, sums
 
@@ -106,7 +109,8 @@ def test_shapes_are_crossed():
 
 
 def test_states_change_between_crossings():
-    lattice, lines = lattice_of((4, 1, 1)), (1, 3)
+    lattice = lattice_of((4, 1, 1))
+    lines = (1, 3)
     crossed = crossings([1.0, 3.0], [])
     middles = core.find_middles(lattice, lines, crossed)
     assert middles[:, 0].tolist() == [0.5, 2.0, 3.5, 2.0]
@@ -136,10 +140,12 @@ def test_states_change_between_crossings():
 
 def bounds_of(edges, quadrics=()):
     """Bounds that every line may meet."""
-    bins, count = core.DIRECTION_BINS, len(edges) + len(quadrics)
+    bins = core.DIRECTION_BINS
+    count = len(edges) + len(quadrics)
     bounds = SimpleNamespace(foot=(0.0, 0.0, 0.0), edges=np.reshape(edges, (-1, 7)).astype(float))
     bounds.quadrics = np.reshape(quadrics, (-1, 10)).astype(float)
-    bounds.first, bounds.item = np.arange(bins + 1) * count, np.tile(np.arange(count), bins)
+    bounds.first = np.arange(bins + 1) * count
+    bounds.item = np.tile(np.arange(count), bins)
     return bounds
 
 

@@ -57,7 +57,8 @@ def expected(packets, layout, profile, beams):
     columns = packets[:, 8 : 8 + COLUMNS * layout.column].reshape(-1, layout.column)
     measurement = columns[:, 8:10].copy().view("<u2")[:, 0]
     valid = (columns[:, 10] & 1 == 1) & (measurement < len(beams.heading))
-    columns, measurement = columns[valid], measurement[valid]
+    columns = columns[valid]
+    measurement = measurement[valid]
     words = columns[:, 12:].copy().view("<u4").reshape(len(columns), layout.pixels, -1)
     units = words[:, :, profile.returns[:, 0]] & profile.range_mask
     gray = words[:, :, profile.returns[:, 1]] >> profile.returns[:, 2].astype(np.uint32)
@@ -122,14 +123,17 @@ def test_returns_become_fields():
     """What cannot be said is none; of two that are alike there is one; the stronger comes first if it is to."""
     range_m = np.array([[10, np.inf], [0.4, 10], [np.nan, 150], [10, 10], [10, 5], [5, 10]])
     gray = np.array([[10, 9], [1, 2], [1, 2], [3, 3], [1, 1], [1, 1]], np.uint8)
-    none, ten, five = [0, 0, 0], [10_000, 1, 0], [5_000, 1, 0]
+    none = [0, 0, 0]
+    ten = [10_000, 1, 0]
+    five = [5_000, 1, 0]
     out = np.empty((6, 6), np.uint32)
     core.quantize_returns(range_m, gray, LIMITS, PHOTONS, False, out)
     first = [[10_000, 10, 1], none, none, [10_000, 3, 0], ten, five]
     second = [none, [10_000, 2, 0], none, none, five, ten]
     np.testing.assert_array_equal(out.T, np.hstack([first, second]))
     core.quantize_returns(range_m, gray, LIMITS, PHOTONS, True, out)
-    first[4], second[4] = five, ten
+    first[4] = five
+    second[4] = ten
     np.testing.assert_array_equal(out.T, np.hstack([first, second]))
     core.quantize_returns(
         np.array([[1.0]]), np.array([[255]], np.uint8), LIMITS, PHOTONS * 1e4, False, out[:3, :1].copy()
@@ -190,8 +194,10 @@ def test_what_does_not_fit_is_refused(change, named):
 
 
 def test_fields_that_do_not_fit_are_refused():
-    layout, packets = layout_of(2, 4), np.zeros((1, layout_of(2, 4).size), np.uint8)
-    values, bits = np.zeros((1, 12), np.uint32), np.array([(1, 16, 0xFFFF)])
+    layout = layout_of(2, 4)
+    packets = np.zeros((1, layout_of(2, 4).size), np.uint8)
+    values = np.zeros((1, 12), np.uint32)
+    bits = np.array([(1, 16, 0xFFFF)])
     for wrong in ((2, 0, 1), (-1, 0, 1), (0, 32, 1), (0, -1, 1), (0, 0, 1 << 32), (1 << 62, 0, 1)):
         with pytest.raises(ValueError, match="bits"):
             core.pack_fields(values, np.array([wrong]), layout, packets)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from lidarcfg.core import packets
 
-SLOTS, GROUPS = 32, 12
+SLOTS = 32
+GROUPS = 12
 MAKERS = {  # decoder, writer, size, where the blocks begin, order of bytes
     "velodyne": (packets.VelodyneDecoder, packets.write_velodyne_returns, 1206, 0, "little"),
     "robosense": (packets.RobosenseDecoder, packets.write_robosense_returns, 1248, 42, "big"),
@@ -58,7 +59,8 @@ def packet(maker, azimuths, cells):
 
 def decoded(maker, data, slots_, rows=384, polar=0):
     decoder = MAKERS[maker][0](slots_, lasers(), 1000, 100, 0.01)
-    out, wanted = returns(rows, polar), np.ones(1, np.bool_)
+    out = returns(rows, polar)
+    wanted = np.ones(1, np.bool_)
     count = decoder.decode(data, wanted, LAST.stamp_ns, LAST.gap_ns, LAST.kind, out)
     assert count <= decoder.count(data, wanted)
     return count, out
@@ -89,12 +91,14 @@ def test_pairs(maker):
 @given(data=st.binary(min_size=0, max_size=3 * 1248), rows=st.integers(0, 400), seed=st.integers(0, 99))
 def test_any_bytes(maker, data, rows, seed):
     """Points that are finite, no more than there are rows; else it says so."""
-    decoder, size = MAKERS[maker][0](slots(), lasers(), 1000, 100, 0.01), MAKERS[maker][2]
+    decoder = MAKERS[maker][0](slots(), lasers(), 1000, 100, 0.01)
+    size = MAKERS[maker][2]
     count = len(data) // size
     octets = np.frombuffer(data[: count * size], np.uint8).reshape(count, size)
     rng = np.random.default_rng(seed)
     stamps, gaps = rng.integers(0, 2**40, (2, count))
-    wanted, out = rng.random(count) < 0.7, returns(rows)
+    wanted = rng.random(count) < 0.7
+    out = returns(rows)
     arguments = octets, wanted, stamps, gaps, np.zeros(count, np.uint8), out
     expected = decoder.count(octets, wanted)
     if expected > rows:
@@ -151,7 +155,8 @@ def test_written_and_read(maker):
     _, write, size, _, _ = MAKERS[maker]
     range_m = np.full((1, 384), 2.0)
     range_m[0, :6] = [0.4, math.nan, math.inf, 101, 0.5, 100]
-    data, number = np.zeros((1, size), np.uint8), np.arange(384)
+    data = np.zeros((1, size), np.uint8)
+    number = np.arange(384)
     write(range_m, np.full((1, 384), 9, np.uint8), number, np.zeros(384), LIMITS, data)
     count, out = decoded(maker, data, slots(), polar=384)
     assert count == 380
@@ -234,10 +239,13 @@ def test_the_last_time_there_is(maker):
     """After it comes the first one."""
     last_ns = np.array([2**63 - 1])
     data = packet(maker, range(0, 1200, 100), {(0, 1): (1000, 7)})
-    decoder, out, wanted = MAKERS[maker][0](slots(), lasers(), 1000, 100, 0.01), returns(1), np.ones(1, np.bool_)
+    decoder = MAKERS[maker][0](slots(), lasers(), 1000, 100, 0.01)
+    out = returns(1)
+    wanted = np.ones(1, np.bool_)
     assert decoder.decode(data, wanted, last_ns, LAST.gap_ns, LAST.kind, out) == 1
     assert out.time_ns.tolist() == [-(2**63)]
-    time_ns, encoder_rad = np.zeros((1, 2), np.int64), np.zeros((1, 2))
+    time_ns = np.zeros((1, 2), np.int64)
+    encoder_rad = np.zeros((1, 2))
     packets.fire(np.zeros(1), last_ns, np.array([0, 1]), 0.1, time_ns, encoder_rad)
     assert time_ns.tolist() == [[2**63 - 1, -(2**63)]]
     data = np.ones((1, 32), np.uint8)

@@ -10,8 +10,10 @@ import pytest
 from lidarcfg.core import returns, visibility, world
 
 SIDE = np.array([[[0, -1, 0], [0, 1, 0], [0, 1, 2]], [[0, -1, 0], [0, 1, 2], [0, -1, 2]]], float)
-LOW, HIGH = np.array([0.0, -1, 0]), np.array([0.0, 1, 2])
-R, T = np.eye(3)[None], np.array([[0.0, 0, 1]])
+LOW = np.array([0.0, -1, 0])
+HIGH = np.array([0.0, 1, 2])
+R = np.eye(3)[None]
+T = np.array([[0.0, 0, 1]])
 FIRINGS = np.radians([-10.0, 0.0, 10.0])
 
 
@@ -122,7 +124,8 @@ def test_a_counter_knows_where_an_object_is_missed():
 
 
 def test_threads_share_a_counter():
-    rng, one = np.random.default_rng(2), np.zeros(1, np.int64)
+    rng = np.random.default_rng(2)
+    one = np.zeros(1, np.int64)
     places = np.column_stack([rng.uniform(-20, 20, (60, 2)), np.zeros(60), rng.uniform(0, 7, 60)])
     poses = [T + 0.1 * n for n in range(5)]
     shared = counter(8, places=places, ends=(60,))
@@ -179,7 +182,8 @@ def missed_with(sensors=(0,), R=R, t=T, group=0):
     return lambda: counter(1).missed(np.array(sensors, np.int64), R, t, group, 1.0)
 
 
-COUNTS, TWO = np.zeros((1, 2, 2), np.int32), np.array([2, 2])
+COUNTS = np.zeros((1, 2, 2), np.int32)
+TWO = np.array([2, 2])
 
 
 @pytest.mark.parametrize(

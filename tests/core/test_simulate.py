@@ -238,7 +238,8 @@ def test_a_mounting_is_a_matrix():
 def merged(range_m, which=range(6), **changed):
     """The candidates of beams that hit object 1, whose rays weigh the same."""
     range_m = np.array(range_m, np.float64)
-    shape, columns = range_m.shape, len(which)
+    shape = range_m.shape
+    columns = len(which)
     rays = Rays(
         range_m,
         np.full(shape, 50, np.uint8),
@@ -273,7 +274,8 @@ def test_echoes_merge_within_a_metre():
 
 
 def test_rain_before_everything_else():
-    droplets, fade = np.array([[2.0, 0.5]]), np.ones((1, 2))
+    droplets = np.array([[2.0, 0.5]])
+    fade = np.ones((1, 2))
     found = merged([[9.0]], which=[3, 2], droplets=droplets, fade=fade)
     assert found.range_m.tolist() == [[2, 9]]
     assert found.object.tolist() == [[-1, 1]]

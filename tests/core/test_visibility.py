@@ -129,7 +129,8 @@ def points_with(**changes):
     return lambda: visibility.see_points(**given_)
 
 
-LABEL, LINES = np.zeros((1, 2, 3), np.int32), [np.zeros((1, *shape), np.int32) for shape in ((2, 3), (1, 3), (1, 2))]
+LABEL = np.zeros((1, 2, 3), np.int32)
+LINES = [np.zeros((1, *shape), np.int32) for shape in ((2, 3), (1, 3), (1, 2))]
 READ_ONLY = np.empty(2, bool)
 READ_ONLY.flags.writeable = False
 SPANS = [Span(one, one) for one in LINES]

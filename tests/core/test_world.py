@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from lidarcfg.core import world
 
 TRIANGLE, SPHERE, CYLINDER = range(3)
-NOTHING, GROUND = -2, -1
+NOTHING = -2
+GROUND = -1
 
 
 class Found(NamedTuple):
@@ -37,7 +38,8 @@ def round_shape(*values):
 
 def first(tree, origins, way, limit_m=np.inf):
     """Ranges and slots (N,) of rays (N, 3)."""
-    range_m, slot = np.empty(len(way)), np.empty(len(way), np.int32)
+    range_m = np.empty(len(way))
+    slot = np.empty(len(way), np.int32)
     columns = (np.ascontiguousarray(np.transpose(rows), np.float64) for rows in (origins, way))
     world.first_hits(tree, *columns, limit_m, range_m, slot)
     return range_m, slot
@@ -72,7 +74,8 @@ def by_all(shapes, origins, way):
             det = across @ (b - a)
             u = ((origins - a) * across).sum(axis=1) / det
             q = np.cross(origins - a, b - a)
-            v, far = (q * way).sum(axis=1) / det, q @ (c - a) / det
+            v = (q * way).sum(axis=1) / det
+            far = q @ (c - a) / det
         best = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (far > 0) & (far < best), far, best)
     return best
 
@@ -162,7 +165,8 @@ def cast(whole, origins, way, seconds, limit_m=np.inf):
 
 def test_a_world_by_hand():
     """A wall at x = 10 and one that starts at x = 5 and drives away at 2 m/s, above the ground at z = -1."""
-    away, spin = world.path_of_velocity((2.0, 0.0, 0.0)), world.path_of_arc(0.0, np.pi, 0.0)
+    away = world.path_of_velocity((2.0, 0.0, 0.0))
+    spin = world.path_of_arc(0.0, np.pi, 0.0)
     places = np.array([[5.0, 0, 0], [0, 0, 20]])
     whole = world.World(
         -1.0, bvh(quad(10.0)), [bvh(quad(0.0)), bvh(quad(3.0))], places, np.array([2.0, 0]), [away, spin]
@@ -214,7 +218,9 @@ def test_a_box_is_entered_and_left():
     odd = np.zeros(5, np.bool_)
     world.toggle_points(corners, triangles, points, odd)
     assert odd[:3].tolist() == [True, False, False]
-    x, lines, toggled = np.array([-1.0, 0.5, 2]), np.tile([0, 1, 0, 1], (12, 1)), np.zeros((1, 1, 4), np.bool_)
+    x = np.array([-1.0, 0.5, 2])
+    lines = np.tile([0, 1, 0, 1], (12, 1))
+    toggled = np.zeros((1, 1, 4), np.bool_)
     world.toggle_lines(corners, triangles, lines, x, np.array([0.3]), np.array([0.4]), toggled)
     assert np.logical_xor.accumulate(toggled[0, 0])[:3].tolist() == [False, True, False]
     with pytest.raises(ValueError, match="triangles: of vertices only"):
@@ -261,7 +267,9 @@ def test_what_does_not_fit_is_refused(change, message):
 
 
 def test_parts_that_do_not_fit_are_refused():
-    shapes, kind, number = np.zeros((2, 9)), np.zeros(2, np.uint8), np.zeros(2, np.int32)
+    shapes = np.zeros((2, 9))
+    kind = np.zeros(2, np.uint8)
+    number = np.zeros(2, np.int32)
     for change, message in (
         ({"shapes": np.zeros((2, 8))}, "shapes: nine numbers each"),
         ({"kind": kind[:1]}, "kind: one for each shape"),
@@ -271,7 +279,8 @@ def test_parts_that_do_not_fit_are_refused():
     ):
         with pytest.raises(ValueError, match=message):
             world.Bvh(**({"shapes": shapes, "kind": kind, "number": number, "object": number} | change))
-    tree, path = bvh(shapes), world.path_of_velocity((0.0, 0.0, 0.0))
+    tree = bvh(shapes)
+    path = world.path_of_velocity((0.0, 0.0, 0.0))
     for change, message in (
         ({"fixed": path}, "fixed: of type"),
         ({"places_m": np.zeros((2, 3))}, "places_m: one for each of moving"),

@@ -101,7 +101,8 @@ def written(way: str, capture, folder, rig=None, model=None, on_warning=lambda w
 
 @pytest.mark.parametrize("way", ["sqlite3", "mcap-bag", "mcap"])
 def test_points_and_places_are_those_that_decode_merges(capture, tmp_path, way):
-    rig, warnings = named_rig(), []
+    rig = named_rig()
+    warnings = []
     if way == "mcap-bag":
         save_bag(tmp_path / "bag", capture, "mcap", rig, None, warnings.append)
         messages = bag_messages(tmp_path / "bag")
@@ -113,7 +114,8 @@ def test_points_and_places_are_those_that_decode_merges(capture, tmp_path, way):
     places = {}
     for transform in messages[0][2].transforms:
         assert transform.header.frame_id == "base_link"
-        r, t = transform.transform.rotation, transform.transform.translation
+        r = transform.transform.rotation
+        t = transform.transform.translation
         places[transform.child_frame_id] = Quaternion(r.w, r.x, r.y, r.z), np.array([t.x, t.y, t.z])
     assert set(places) == {"left", "right_2"}
     decoded = concatenate(list(decode_pcap(capture, no_warning, rig)))
@@ -202,7 +204,8 @@ def test_scans_whatever_the_chunks(capture, chunk):
     def ordered(found):
         return sorted(found, key=lambda scan: (scan.sensor_names, scan.time_ns[0]))
 
-    whole, parts = ordered(scans(capture, no_warning)), ordered(scans(capture, no_warning, chunk_packets=chunk))
+    whole = ordered(scans(capture, no_warning))
+    parts = ordered(scans(capture, no_warning, chunk_packets=chunk))
     for one, other in zip(whole, parts, strict=True):
         assert one.sensor_names == other.sensor_names
         assert (one.xyz == other.xyz).all()
@@ -212,7 +215,8 @@ def test_scans_whatever_the_chunks(capture, chunk):
 def test_scans_of_real_recordings_by_a_plain_loop(name):
     """Packets counted one by one: a scan ends where the azimuth falls; its points are the distances above zero."""
     path = recording(name)
-    counts, last = [0], None
+    counts = [0]
+    last = None
     packets = [datagram.payload for datagram in datagrams_of(path) if len(datagram.payload) == 1206]
     dual = packets[0][1204] == 0x39
     for packet in packets:
@@ -240,7 +244,8 @@ def starts(azimuths, times_ns) -> list[int]:
 
 
 def test_overtaken_and_duplicate_packets_make_no_scans():
-    step_ns, step = 2_000_000, 720
+    step_ns = 2_000_000
+    step = 720
     times_ns = [START_NS + i * step_ns for i in range(120)]
     azimuths = [i * step % 36000 for i in range(120)]
     plain = list(zip(azimuths, times_ns, strict=True))
@@ -372,7 +377,9 @@ def test_what_is_no_bag_is_left_alone(capture, tmp_path):
 def test_nothing_to_hand_over(tmp_path):
     times_ns = [START_NS + i * 1_327_104 for i in range(40)]
     packets = np.zeros(40, PACKET)
-    packets["blocks"]["flag"], packets["return_mode"], packets["product_id"] = 0xEEFF, 0x37, 0x22
+    packets["blocks"]["flag"] = 0xEEFF
+    packets["return_mode"] = 0x37
+    packets["product_id"] = 0x22
     packets["blocks"]["azimuth"] = (np.arange(40) * 480)[:, None]
     packets["stamp_us"] = np.array(times_ns) // 1000 % (3600 * 10**6)
     datagrams = [

@@ -254,7 +254,8 @@ def foreign_las(path, point_format=1, version="1.2", count=20, **columns):
 
 
 def test_a_las_of_others(tmp_path):
-    path, warnings = tmp_path / "survey.las", []
+    path = tmp_path / "survey.las"
+    warnings = []
     foreign_las(path, gps_time=np.arange(20) + 0.5)
     back = load_las(path, warnings.append)
     assert back.xyz[7].tolist() == [1.75, 1.75, 1.75]

@@ -67,7 +67,8 @@ def test_urdf_puts_each_sensor_where_the_rig_does():
         assert tuple(joint.origin.rpy) == mounted.rpy_rad
         # URDF: "fixed axis roll, pitch and yaw angles"; SciPy's lower case is extrinsic, about fixed axes
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", joint.origin.rpy).as_matrix(), joint.origin.xyz
+        T[:3, :3] = Rotation.from_euler("xyz", joint.origin.rpy).as_matrix()
+        T[:3, 3] = joint.origin.xyz
         close(T, mounted)
         visual = robot.link_map[mounted.name].visual
         assert (visual.geometry.radius, visual.geometry.length) == (0.052, 0.072)
@@ -99,8 +100,10 @@ def test_two_names_that_ros_would_not_tell_apart(names, what, writer):
 
 def launched(text: str, monkeypatch) -> list[dict]:
     """What the nodes of a launch file are told, by stand-ins for ROS's two modules."""
-    ros, actions = types.ModuleType("launch"), types.ModuleType("launch_ros.actions")
-    ros.LaunchDescription, actions.Node = list, dict
+    ros = types.ModuleType("launch")
+    actions = types.ModuleType("launch_ros.actions")
+    ros.LaunchDescription = list
+    actions.Node = dict
     for name, module in (
         ("launch", ros),
         ("launch_ros", types.ModuleType("launch_ros")),

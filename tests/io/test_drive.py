@@ -153,7 +153,10 @@ def bag_messages(path, version):
 
 
 def matrix(translation, rotation):
-    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
+    x = rotation.x
+    y = rotation.y
+    z = rotation.z
+    w = rotation.w
     T = np.eye(4)
     T[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -169,7 +172,9 @@ def test_bags(folder, output, version):
     """Points, /tf and boxes: a box holds its object's points, as they stand in the message, by 3 ms of its motion."""
     path = exported(folder, output)
     names = load_scene(folder / "scene.yaml").names
-    tf, boxes, scans = [], 0, 0
+    tf = []
+    boxes = 0
+    scans = 0
     for topic, kind, _, message in bag_messages(path, version):
         if topic == "/tf":
             (one,) = message.transforms
@@ -319,7 +324,9 @@ def test_nuscenes(folder, scene, monkeypatch):
     assert [len(found.sample), len(found.scene), len(found.sample_data), len(found.instance)] == [3, 1, 6, len(BOXED)]
     assert found.scene[0]["first_sample_token"] == found.sample[0]["token"]
     cloud = load_cloud(folder / "w.npz", no_warning)
-    names, time_ns, sensor = np.array(cloud.object_names)[cloud.object], cloud.time_ns, cloud.sensor
+    names = np.array(cloud.object_names)[cloud.object]
+    time_ns = cloud.time_ns
+    sensor = cloud.sensor
     by_size = {row["size"][1]: row["instance_token"] for row in found.sample_annotation}
     lengths_m = {"oncoming": 4.4, "turning": 7.0, "parked": 4.2, "balloon": 1.6, "walker": 0.6}
     tokens = {name: by_size[length_m] for name, length_m in lengths_m.items()}

@@ -14,7 +14,9 @@ from lidarcfg.world.motion import Motion, Trajectory, build_path
 from tests import command_line
 from tests.capture_fixtures import no_warning
 
-RIG, ROOF, STREET = "data/rigs/mixed.yaml", "data/rigs/roof.yaml", "data/scenes/street.yaml"
+RIG = "data/rigs/mixed.yaml"
+ROOF = "data/rigs/roof.yaml"
+STREET = "data/scenes/street.yaml"
 WALL = """name: wall
 ground: {reflectivity: 12}
 boxes: [{name: wall, center_m: [10.5, 0, 2], size_m: [1, 40, 4], reflectivity: 40}]
@@ -57,7 +59,8 @@ def test_a_manifest_of_a_drive_says_all_that_reading_it_needs(tmp_path):
     T = pose((1.25, -2.0, 0.0), (0.0, 0.0, np.radians(30)))
     out = tmp_path / "a.pcap"
     lidarcfg.export(RIG, STREET, out, duration_s=0.05, at=T, trajectory=tmp_path / "drive.yaml")
-    skewed, deskewed = lidarcfg.decode(out), lidarcfg.decode(out, deskew=True)
+    skewed = lidarcfg.decode(out)
+    deskewed = lidarcfg.decode(out, deskew=True)
     far_m = 20 * (skewed.time_ns - START_NS) / 1e9
     assert np.ptp(far_m) > 0.9
     moved = skewed.xyz + far_m[:, None] * (1, 0, 0)
@@ -82,7 +85,8 @@ def paths():
     timed = [{"time_s": s, "position_m": (9 * s, s * s, 0.1), "rpy_deg": (0, 5 * s, 30 * s)} for s in (0.9, 1, 1.2)]
     keys = build_path(Motion(poses=tuple(timed)))
     arrays = replace(keys, motion=Motion.model_construct(poses=()))  # as of a .tum file
-    line, arc = Motion(velocity_m_s=(20, 1, 0)), Motion(arc={"speed_m_s": 9, "yaw_rate_deg_s": 40, "heading_deg": 10})
+    line = Motion(velocity_m_s=(20, 1, 0))
+    arc = Motion(arc={"speed_m_s": 9, "yaw_rate_deg_s": 40, "heading_deg": 10})
     late_ns = START_NS - 10**9  # their time 0: they are under way for a second
     return [
         Trajectory.static(T),
@@ -94,10 +98,13 @@ def paths():
 def test_a_manifest_of_what_is_in_no_file_says_all_that_reading_it_needs(tmp_path, moved):
     """Whatever is given: deskewed, each point is where the trajectory itself puts it."""
     (tmp_path / "wall.yaml").write_text(WALL)
-    out, rig, scene = tmp_path / "a.pcap", lidarcfg.load_rig(ROOF), lidarcfg.load_scene(tmp_path / "wall.yaml")
+    out = tmp_path / "a.pcap"
+    rig = lidarcfg.load_rig(ROOF)
+    scene = lidarcfg.load_scene(tmp_path / "wall.yaml")
     (tmp_path / "wall.yaml").unlink()
     lidarcfg.export(rig, scene, out, 0.02, at=moved, on_warning=no_warning)
-    skewed, deskewed = lidarcfg.decode(out), lidarcfg.decode(out, deskew=True)
+    skewed = lidarcfg.decode(out)
+    deskewed = lidarcfg.decode(out, deskew=True)
     assert len(skewed.xyz) > 5000
     np.testing.assert_allclose(deskewed.xyz, moved.world(skewed.xyz, skewed.time_ns), rtol=0, atol=1e-6)
     assert lidarcfg.load_rig(tmp_path / "a.pcap.rig.yaml") == rig
@@ -108,12 +115,15 @@ def test_a_manifest_of_what_is_in_no_file_says_all_that_reading_it_needs(tmp_pat
 
 def test_what_a_manifest_lacks_is_said(tmp_path):
     """A scene that names files and is in none, facts of a sensor that are in none, a pose that mirrors."""
-    rig, told = lidarcfg.load_rig(ROOF), []
+    rig = lidarcfg.load_rig(ROOF)
+    told = []
     np.save(tmp_path / "flat.npy", np.zeros((2, 2)))
     field = "{name: f, file: flat.npy, cell_m: 50, position_m: [-25, -25, 0], reflectivity: 9}"
     (tmp_path / "scene.yaml").write_text(f"name: s\nheight_fields: [{field}]\n")
-    scene, own = lidarcfg.load_scene(tmp_path / "scene.yaml"), replace(rig.mounts[0], model=None)
-    out, manifest = tmp_path / "a.pcap", tmp_path / "a.pcap.yaml"
+    scene = lidarcfg.load_scene(tmp_path / "scene.yaml")
+    own = replace(rig.mounts[0], model=None)
+    out = tmp_path / "a.pcap"
+    manifest = tmp_path / "a.pcap.yaml"
     lidarcfg.export(rig, scene, out, 0.002, on_warning=no_warning)
     assert lidarcfg.decode(out).sensor_names == ("left", "right")
     (tmp_path / "scene.yaml").write_text("name: another\nground: {}\n")
@@ -137,7 +147,8 @@ def test_what_a_manifest_lacks_is_said(tmp_path):
 
 def test_what_an_export_wrote_beside_another_may_be_given_to_the_next(tmp_path):
     """It stays; what is no longer needed goes."""
-    out, own = tmp_path / "a.pcap", tmp_path / "a.pcap.rig.yaml"
+    out = tmp_path / "a.pcap"
+    own = tmp_path / "a.pcap.rig.yaml"
     moved = Trajectory(np.eye(4), build_path(Motion(velocity_m_s=(3, 0, 0))), START_NS)
     lidarcfg.export(lidarcfg.load_rig(ROOF), STREET, out, 0.002, at=moved)
     assert (tmp_path / "a.pcap.trajectory.yaml").exists()

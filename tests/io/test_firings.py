@@ -141,7 +141,8 @@ def test_fragments_come_back_whole(tmp_path):
     converted(tmp_path / "b.npz", "-o", tmp_path / "b.pcap")
     columns, _ = there_and_back(tmp_path / "b.pcap", tmp_path)
     assert np.allclose(columns["1/range_m"][returned[1]], changed, rtol=0, atol=1e-9)
-    before, after = frames_in(path), frames_in(tmp_path / "b.pcap")
+    before = frames_in(path)
+    after = frames_in(tmp_path / "b.pcap")
     assert [frame[:34] for frame in before] == [frame[:34] for frame in after]  # sizes, ids, offsets: IP headers
     assert sum(a != b for a, b in zip(before, after, strict=True)) >= 9
 
@@ -150,7 +151,8 @@ def test_fragments_in_disorder_come_back_whole(tmp_path):
     """Out of order, repeated, missing, and with the same id again: what makes no datagram stays as it is."""
     path = recording("ouster/same_ports_legacy.pcap")
     data = path.read_bytes()
-    records, at = [], 24
+    records = []
+    at = 24
     while at < len(data):
         size = 16 + int.from_bytes(data[at + 8 : at + 12], "little")
         records.append(data[at : at + size])
@@ -158,7 +160,8 @@ def test_fragments_in_disorder_come_back_whole(tmp_path):
     for file in path.parent.glob("same_ports_legacy*.json"):
         (tmp_path / file.name.replace("same_ports_legacy", "a")).write_bytes(file.read_bytes())
     parts = [i for i, one in enumerate(records) if int.from_bytes(one[36:38]) & 0x3FFF]
-    rng, packets = np.random.default_rng(3), []
+    rng = np.random.default_rng(3)
+    packets = []
     for _ in range(2):
         order = list(rng.permutation(parts))
         repeated = [*order, order[int(rng.integers(len(order)))]]
@@ -250,7 +253,9 @@ def test_other_links_come_back_whole(tmp_path, name):
 
 def test_damaged_captures_come_back_whole_or_are_refused(tmp_path):
     """Bytes changed, cut out, repeated; the end missing: of a pcap, a pcapng, and one of IP fragments."""
-    rng, found, said = np.random.default_rng(5), 0, []
+    rng = np.random.default_rng(5)
+    found = 0
+    said = []
     for file in recording("ouster/same_ports_legacy.pcap").parent.glob("same_ports_legacy*.json"):
         (tmp_path / file.name.replace("same_ports_legacy", "a")).write_bytes(file.read_bytes())
     write_datagrams(tmp_path / "s.pcap", datagrams_of(recording("nebula_vlp16.pcap"))[:20])
@@ -282,7 +287,8 @@ def test_damaged_captures_come_back_whole_or_are_refused(tmp_path):
 def test_several_modes_in_one_stream(tmp_path):
     """Dual, then strongest, then last returns of two makers: sources of their own, with the firings of each alone."""
     modes = {"dual": 0, "strongest": 30_000_000, "last": 60_000_000}
-    street, streams = load_scene(STREET), []
+    street = load_scene(STREET)
+    streams = []
     for mode, begin_ns in modes.items():
         sensors = "".join(
             f"  - {{name: {one}, model: {one}, position_m: [0, {i}, 2], return_mode: {mode}}}\n"
@@ -315,7 +321,9 @@ def test_several_modes_in_one_stream(tmp_path):
 def test_a_helios_that_changes_its_mode(tmp_path, model, late):
     """DIFOP packets say when; where they come late, dual returns are still told from single ones by their layout."""
     modes = {"dual": 0, "strongest": 30_000_000, "last": 60_000_000}
-    street, streams, counts = load_scene(STREET), [], {}
+    street = load_scene(STREET)
+    streams = []
+    counts = {}
     for mode, begin_ns in modes.items():
         sensor = f"{{name: s, model: {model}, position_m: [0, 0, 2], return_mode: {mode}}}"
         (tmp_path / "rig.yaml").write_text(f"name: r\nsensors: [{sensor}]\n")
@@ -438,7 +446,8 @@ def test_checksums_are_made_right(tmp_path):
     import dpkt
 
     (tmp_path / "rig.yaml").write_text("name: r\nsensors: [{name: s, model: pandar-xt16, position_m: [0, 0, 2]}]")
-    rig, stage = load_rig(tmp_path / "rig.yaml"), load_scene(STREET)
+    rig = load_rig(tmp_path / "rig.yaml")
+    stage = load_scene(STREET)
     write_pcap(tmp_path / "a.pcap", in_time_order(simulated_frames(rig, stage, np.eye(4), 5_000_000)))
     data = (tmp_path / "a.pcap").read_bytes()
     with (tmp_path / "a.pcap").open("rb") as file:
@@ -459,7 +468,8 @@ def test_checksums_are_made_right(tmp_path):
         frames = [frame for _, frame in dpkt.pcap.Reader(file)]
     for frame in frames:
         udp = dpkt.ethernet.Ethernet(frame).data.data
-        recorded, udp.sum = udp.sum, 0
+        recorded = udp.sum
+        udp.sum = 0
         ip = dpkt.ethernet.Ethernet(frame).data
         ip.data.sum = 0
         ip.sum = 0

@@ -337,7 +337,8 @@ def placed(rpy, *at):
 
 @pytest.mark.parametrize(("path", "version"), [("bag", 2), ("old.bag", 1)])
 def test_static_transforms_of_a_bag(path, version, here):
-    roof, top = placed((0.1, 0.2, 0.3), 1, 2, 3), placed((-0.5, 0.1, 2), 0, 0.5, 0)
+    roof = placed((0.1, 0.2, 0.3), 1, 2, 3)
+    top = placed((-0.5, 0.1, 2), 0, 0.5, 0)
     old = placed((0, 0, 0), 9, 9, 9)
     camera = ("base_link", "camera", old)
     tf_bag(path, version, ("roof", "/vlp16_top", old), ("base_link", "roof", roof), ("/roof", "vlp16_top", top), camera)

@@ -68,7 +68,8 @@ def test_a_bag_with_ground_truth(folder):
     """Points are the packets', as the makers' drivers have them; objects, boxes and poses are those of the scene."""
     done = lidarcfg("convert", "a.pcap", "--truth", "a.npz", "-o", "a.mcap", cwd=folder)
     assert done.stderr.splitlines() == ["lidarcfg: warning: a.mcap: mcap has no return type"]
-    found, scene = read(folder / "a.mcap"), load_scene(folder / "scene.yaml")
+    found = read(folder / "a.mcap")
+    scene = load_scene(folder / "scene.yaml")
     (static,) = found["/tf_static"]
     assert [one.child_frame_id for one in static.transforms] == ["LIDAR_TOP", "rear"]
     for message in found["/tf"]:
@@ -76,12 +77,15 @@ def test_a_bag_with_ground_truth(folder):
         got = matrix(one.transform.translation, one.transform.rotation)
         np.testing.assert_allclose(got, vehicle_pose(ns(one.header.stamp)), atol=1e-6)
     assert len(found["/tf"]) >= 24
-    seen, boxes, total = set(), 0, 0
+    seen = set()
+    boxes = 0
+    total = 0
     for sensor, time in (("LIDAR_TOP", "time"), ("rear", "timestamp")):
         for message, around in zip(found[f"/{sensor}/points"], found[f"/{sensor}/objects"], strict=True):
             rows = rows_of(message)
             assert list(rows.dtype.names) == ["x", "y", "z", "intensity", "ring", time, "object"]
-            xyz, total = np.column_stack([rows[key] for key in "xyz"]).astype(np.float64), total + len(rows)
+            xyz = np.column_stack([rows[key] for key in "xyz"]).astype(np.float64)
+            total = total + len(rows)
             for row in range(0, len(rows), 97):
                 stamp_ns = ns(message.header.stamp)
                 at_ns = float(rows[time][row]) * 1e9 + (stamp_ns if time == "time" else 0)
@@ -109,7 +113,8 @@ def test_a_bag_without_ground_truth(folder):
     """Boxes of all objects, at the stamps: where the plain loops move them."""
     done = lidarcfg("convert", "a.pcap", "-o", "bag", cwd=folder)
     assert "a.pcap: no --truth says which objects were hit; boxes are of all, at the stamp of each scan" in done.stderr
-    found, scene = read(folder / "bag"), load_scene(folder / "scene.yaml")
+    found = read(folder / "bag")
+    scene = load_scene(folder / "scene.yaml")
     assert "object" not in rows_of(found["/rear/points"][0]).dtype.names
     items = {item.name: item for item in scene.items[1:]}
     for message in [one for sensor in ("LIDAR_TOP", "rear") for one in found[f"/{sensor}/objects"]]:

@@ -9,7 +9,8 @@ def crosses(a, b, triangle):
     """Whether the open segment from a to b passes through a triangle: the plane's point lies on one side of all edges."""
     p, q, r = triangle
     normal = cross(minus(q, p), minus(r, p))
-    below, above = dot(normal, minus(a, p)), dot(normal, minus(b, p))
+    below = dot(normal, minus(a, p))
+    above = dot(normal, minus(b, p))
     if below == above or below * above >= 0:
         return False
     s = below / (below - above)
@@ -20,12 +21,15 @@ def crosses(a, b, triangle):
 
 def outline(center, triangles, angle):
     """How far the ray from the centre runs until it has left the last of the triangles, seen from above."""
-    ux, uy = math.cos(angle), math.sin(angle)
+    ux = math.cos(angle)
+    uy = math.sin(angle)
     farthest = 0.0
     for triangle in triangles:
         for a, b in ((0, 1), (1, 2), (2, 0)):
-            px, py = triangle[a][0] - center[0], triangle[a][1] - center[1]
-            qx, qy = triangle[b][0] - center[0], triangle[b][1] - center[1]
+            px = triangle[a][0] - center[0]
+            py = triangle[a][1] - center[1]
+            qx = triangle[b][0] - center[0]
+            qy = triangle[b][1] - center[1]
             left, right = ux * py - uy * px, ux * qy - uy * qx
             if left * right <= 0 and left != right:
                 s = left / (left - right)

@@ -14,7 +14,9 @@ def through_triangle(start, way, corners):
         return False
     t = minus(start, corners[0])
     q = cross(t, one)
-    u, v, s = dot(t, p) / volume, dot(way, q) / volume, dot(other, q) / volume
+    u = dot(t, p) / volume
+    v = dot(way, q) / volume
+    s = dot(other, q) / volume
     return u >= 0 and v >= 0 and u + v <= 1 and 0 < s < 1
 
 

@@ -48,9 +48,11 @@ def encode_any(flags, sequences_per_block, order, by, stamp_us, azimuths, return
             for slot in range(32):
                 lasers = len(returns[0])
                 if sequences_per_block > 1:
-                    sequence, laser = time * sequences_per_block + slot // lasers, slot % lasers
+                    sequence = time * sequences_per_block + slot // lasers
+                    laser = slot % lasers
                 else:
-                    sequence, laser = time, 32 * k + slot
+                    sequence = time
+                    laser = 32 * k + slot
                 found = returns[sequence][laser]
                 if order:
                     found = found[0] if which == "strongest" else found[1]
@@ -61,8 +63,10 @@ def encode_any(flags, sequences_per_block, order, by, stamp_us, azimuths, return
 
 def unit_point(beam: dict[str, float], raw: int, unit_m: float, azimuth: float) -> tuple[float, float, float]:
     """x, y, z in metres of a raw distance by one beam's whole calibration (HDL-64E manual, velodyne_decoder 3.1)."""
-    a, w = azimuth + math.radians(beam["azimuth_offset_deg"]), math.radians(beam["elevation_deg"])
-    left, far = beam["lateral_offset_mm"] / 1000, beam["distance_offset_mm"] / 1000
+    a = azimuth + math.radians(beam["azimuth_offset_deg"])
+    w = math.radians(beam["elevation_deg"])
+    left = beam["lateral_offset_mm"] / 1000
+    far = beam["distance_offset_mm"] / 1000
     r = for_x = for_y = raw * unit_m + far
     if raw * unit_m < 25.04:
         x = abs(r * math.cos(w) * math.sin(a) - left * math.cos(a))
@@ -78,7 +82,8 @@ def unit_point(beam: dict[str, float], raw: int, unit_m: float, azimuth: float) 
 
 def unit_distance(beam: dict[str, float], range_m: float, unit_m: float, azimuth: float) -> int:
     """Whole units, of all those around, whose point is nearest along the beam; the far ones where these will do."""
-    a, w = azimuth + math.radians(beam["azimuth_offset_deg"]), math.radians(beam["elevation_deg"])
+    a = azimuth + math.radians(beam["azimuth_offset_deg"])
+    w = math.radians(beam["elevation_deg"])
     far = round((range_m - beam["distance_offset_mm"] / 1000) / unit_m)
     if far * unit_m >= 25.04:
         return far
@@ -108,7 +113,8 @@ def unit_intensity(beam: dict[str, float], raw: int, intensity: int) -> int:
 
 def status(packet: int, when: datetime, letters: str, warnings: str, gps: int, calibration: bytes) -> bytes:
     """Type and value of packet number `packet` since 1970: the letters, then seven bytes of the calibration."""
-    cycle, place = packet // (len(letters) + 7), packet % (len(letters) + 7)
+    cycle = packet // (len(letters) + 7)
+    place = packet % (len(letters) + 7)
     if place < len(letters):
         values = {
             "H": when.hour,
@@ -162,7 +168,9 @@ def decode(payload: bytes, following: bytes | None) -> list[tuple[float, float, 
                 continue
             into_block = firing_ns(slot // 16, slot % 16)
             azimuth = (azimuths[block] + step * into_block / 110592) / 100
-            a, w, r = math.radians(azimuth), math.radians(ELEVATION_DEG[slot % 16]), distance * 0.002
+            a = math.radians(azimuth)
+            w = math.radians(ELEVATION_DEG[slot % 16])
+            r = distance * 0.002
             z = r * math.sin(w) + VERTICAL_MM[slot % 16] / 1000
             x, y = r * math.cos(w) * math.cos(a), -r * math.cos(w) * math.sin(a)
             points.append((x, y, z, intensity, slot % 16, block * 110592 + into_block, azimuth))
@@ -179,7 +187,9 @@ def nmea_checksum(sentence: bytes) -> str:
 
 def records(data: bytes, order: str, most: int) -> tuple[list[int], int, int]:
     """Where a pcap's whole records start, where the last one ends, and the size last read, in either byte order."""
-    starts, at, size = [], 0, 0
+    starts = []
+    at = 0
+    size = 0
     while at + 16 <= len(data):
         size = struct.unpack_from(order + "I", data, at + 8)[0]
         if size > most or at + 16 + size > len(data):

@@ -45,7 +45,10 @@ def echoes(hits, weights, most_m, step_rad, least, drop=None, left=None):
     if not found:
         return [None] * 6
     ranked = sorted(found, key=lambda echo: -echo[3])
-    strongest, second, last, first = ranked[0], ranked[min(1, len(ranked) - 1)], found[-1], found[0]
+    strongest = ranked[0]
+    second = ranked[min(1, len(ranked) - 1)]
+    last = found[-1]
+    first = found[0]
     with_last = second if strongest is last else strongest
     with_first = second if strongest is first else strongest
     return [echo[:3] for echo in (strongest, with_last, last, first, with_first, second)]

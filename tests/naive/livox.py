@@ -66,15 +66,20 @@ def points(payload: bytes, first_to_last: bool = False) -> list[Point]:
         spherical = None
         if head["type"] == 1:  # millimetres
             x, y, z, reflectivity, tag = struct.unpack_from("<iiiBB", payload, at)
-            x, y, z = x / 1000, y / 1000, z / 1000
+            x = x / 1000
+            y = y / 1000
+            z = z / 1000
         elif head["type"] == 2:  # centimetres
             x, y, z, reflectivity, tag = struct.unpack_from("<hhhBB", payload, at)
-            x, y, z = x / 100, y / 100, z / 100
+            x = x / 100
+            y = y / 100
+            z = z / 100
         else:
             assert head["type"] == 3
             depth_mm, theta, phi, reflectivity, tag = struct.unpack_from("<IHHBB", payload, at)
             spherical = depth_mm / 1000, theta / 100, phi / 100
-            zenith, azimuth = math.radians(theta / 100), math.radians(phi / 100)
+            zenith = math.radians(theta / 100)
+            azimuth = math.radians(phi / 100)
             x = depth_mm / 1000 * math.sin(zenith) * math.cos(azimuth)
             y = depth_mm / 1000 * math.sin(zenith) * math.sin(azimuth)
             z = depth_mm / 1000 * math.cos(zenith)

@@ -95,8 +95,11 @@ def measured(
 def points(payload: bytes, metadata: bytes) -> list[tuple[float, float, float, int, int, int, int]]:
     """x, y, z in the sensor frame, time, pixel, reflectivity and number of each return, in the order of the packet."""
     said = json.loads(metadata)
-    form, beams = said["lidar_data_format"], said["beam_intrinsics"]
-    profile, lasers, per_turn = form["udp_profile_lidar"], form["pixels_per_column"], form["columns_per_frame"]
+    form = said["lidar_data_format"]
+    beams = said["beam_intrinsics"]
+    profile = form["udp_profile_lidar"]
+    lasers = form["pixels_per_column"]
+    per_turn = form["columns_per_frame"]
     size, places = PIXELS[profile]
     legacy = profile == "LEGACY"
     to_beam = beams["beam_to_lidar_transform"]

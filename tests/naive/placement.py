@@ -53,7 +53,9 @@ def base_n(digits, bases):
 
 def breadth_first(signature, included):
     """Components by breadth-first search over shared faces; nested lists in, nested lists of labels out."""
-    nx, ny, nz = len(signature), len(signature[0]), len(signature[0][0])
+    nx = len(signature)
+    ny = len(signature[0])
+    nz = len(signature[0][0])
     label = [[[OUTSIDE] * nz for _ in range(ny)] for _ in range(nx)]
     count = 0
     for i in range(nx):
@@ -97,7 +99,9 @@ def vsr(cells, edges):
 
 def detection(label, size, threshold, on_ground):
     """(detected, places) of a box of whole cuboids moved over the grid."""
-    nx, ny, nz = len(label), len(label[0]), len(label[0][0])
+    nx = len(label)
+    ny = len(label[0])
+    nz = len(label[0][0])
     detected = places = 0
     for i in range(nx - size[0] + 1):
         for j in range(ny - size[1] + 1):
@@ -164,7 +168,8 @@ def released_max_vsr(roi, cuboid, exclude, poses, elevation_deg):
                     total += m * (len(tangent) + 1) + sum(z > slope * flat for slope in tangent)
                 label[cell] = total
     area = [cuboid[1] * cuboid[2], cuboid[0] * cuboid[2], cuboid[0] * cuboid[1]]
-    volume, surface = {}, {}
+    volume = {}
+    surface = {}
     for (i, j, k), mine in label.items():
         volume[mine] = volume.get(mine, 0.0) + cuboid[0] * cuboid[1] * cuboid[2]
         for axis, (di, dj, dk) in enumerate(((1, 0, 0), (0, 1, 0), (0, 0, 1))):
@@ -192,8 +197,10 @@ def crossings(origin, direction, low, high, position, axis, elevation_deg, steps
         point = [origin[i] + a * direction[i] for i in range(3)]
         gradient = []
         for i in range(3):
-            ahead, behind = list(point), list(point)
-            ahead[i], behind[i] = point[i] + 1e-6, point[i] - 1e-6
+            ahead = list(point)
+            behind = list(point)
+            ahead[i] = point[i] + 1e-6
+            behind[i] = point[i] - 1e-6
             values = []
             for p in (ahead, behind):
                 d = [p[n] - position[n] for n in range(3)]
@@ -277,9 +284,15 @@ def sweep(label, gap, low, edge, cones, lines=2, within=None, sight=None):
     LiDAR, and last for the bodies, whether the line begins in sight, or outside, and (place, |n·e|) of each change. What
     is out of a LiDAR's sight has the gap −1 for it, and its cones cut nothing there; what is in a body is nobody's.
     """
-    nx, ny, nz = len(label), len(label[0]), len(label[0][0])
-    count, area = ny * nz * lines**2, edge[1] * edge[2] / lines**2
-    volume, pieces, surface, pairs = [0.0] * len(gap), [0] * len(gap), [0.0] * len(gap), []
+    nx = len(label)
+    ny = len(label[0])
+    nz = len(label[0][0])
+    count = ny * nz * lines**2
+    area = edge[1] * edge[2] / lines**2
+    volume = [0.0] * len(gap)
+    pieces = [0] * len(gap)
+    surface = [0.0] * len(gap)
+    pairs = []
 
     def wall(i):
         return low[0] + i * edge[0]
@@ -290,7 +303,8 @@ def sweep(label, gap, low, edge, cones, lines=2, within=None, sight=None):
 
     for number in range(count):
         across = ny * (number + 0.5) / count, nz * ((number * (math.sqrt(5) - 1) / 2 + 0.5) % 1.0)
-        j, k = math.floor(across[0]), math.floor(across[1])
+        j = math.floor(across[0])
+        k = math.floor(across[1])
         u, v = low[1] + across[0] * edge[1], low[2] + across[1] * edge[2]
         counts = [within[i][j][k] if within else label[i][j][k] >= 0 for i in range(nx)]
         seen = sight[number] if sight else [(True, [])] * (len(cones) + 1)

@@ -13,17 +13,23 @@ BESIDE = 1e-12  # of a triangle, by which a ray may pass beside it
 
 def first_triangle(vertices, triangles, origins, rays):
     """Range to the first of triangles (T, 3) that each ray (N, 3) hits, inf for none, and which: Möller, Trumbore 1997."""
-    ranges, which = np.full(len(rays), np.inf), np.full(len(rays), -1)
+    ranges = np.full(len(rays), np.inf)
+    which = np.full(len(rays), -1)
     dx, dy, dz = np.ascontiguousarray(rays.T)
     for t, corners in enumerate(triangles):
         a = vertices[corners[0]]
-        e, f = vertices[corners[1]] - a, vertices[corners[2]] - a
-        px, py, pz = dy * f[2] - dz * f[1], dz * f[0] - dx * f[2], dx * f[1] - dy * f[0]
+        e = vertices[corners[1]] - a
+        f = vertices[corners[2]] - a
+        px = dy * f[2] - dz * f[1]
+        py = dz * f[0] - dx * f[2]
+        pz = dx * f[1] - dy * f[0]
         determinant = e[0] * px + e[1] * py + e[2] * pz
         sx, sy, sz = (origins - a).T
         with np.errstate(divide="ignore", invalid="ignore"):
             u = (sx * px + sy * py + sz * pz) / determinant
-            qx, qy, qz = sy * e[2] - sz * e[1], sz * e[0] - sx * e[2], sx * e[1] - sy * e[0]
+            qx = sy * e[2] - sz * e[1]
+            qy = sz * e[0] - sx * e[2]
+            qz = sx * e[1] - sy * e[0]
             v = (dx * qx + dy * qy + dz * qz) / determinant
             distance = (f[0] * qx + f[1] * qy + f[2] * qz) / determinant
             hit = (determinant != 0) & (u >= -BESIDE) & (v >= -BESIDE) & (u + v <= 1 + BESIDE)
@@ -49,7 +55,8 @@ def exact(corners, origin, ray):
     a, b, c = (minus(points[k : k + 3], points[9:]) for k in (0, 3, 6))
     n = cross(minus(b, a), minus(c, a))
     volumes = [dot(d, cross(p, q)) for p, q in ((a, b), (b, c), (c, a))]
-    along, height = dot(n, d), dot(n, a)
+    along = dot(n, d)
+    height = dot(n, a)
     range_m = float(Fraction(height, along) * Fraction(ray_scale, scale)) if along else None
     inside = any(volumes) and (min(volumes) >= 0 or max(volumes) <= 0)
     beside = [
@@ -76,7 +83,8 @@ def norm(p):
 def sphere(origin, ray, centre, radius):
     """Range to a sphere by the plain quadratic, inf for none; good where radius and distance are alike."""
     o = np.subtract(origin, centre)
-    half_b, c = o @ ray, o @ o - radius**2
+    half_b = o @ ray
+    c = o @ o - radius**2
     square = half_b**2 - c
     roots = [-half_b + side * math.sqrt(square) for side in (-1, 1)] if square >= 0 else []
     return min((root for root in roots if root > 0), default=math.inf)
@@ -86,7 +94,9 @@ def box(origin, ray, centre, size, yaw):
     """Range to a box that is rotated about the vertical, by its six faces, inf for none."""
     c, s = math.cos(yaw), math.sin(yaw)
     into = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-    o, d, half = into @ np.subtract(origin, centre), into @ ray, np.asarray(size) / 2
+    o = into @ np.subtract(origin, centre)
+    d = into @ ray
+    half = np.asarray(size) / 2
     found = math.inf
     for axis in range(3):
         for side in (-1, 1):

@@ -9,13 +9,17 @@ from lidarcfg.simulate import returns as placement
 
 def hit_m(origin, direction, corners):
     """How far the nearest of triangles (T, 3, 3) is along a ray; inf if none is hit."""
-    a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    a = corners[:, 0]
+    u = corners[:, 1] - corners[:, 0]
+    v = corners[:, 2] - corners[:, 0]
     p = np.cross(direction, v)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = 1 / (u * p).sum(axis=1)
         s = origin - a
         q = np.cross(s, u)
-        b, c, far = scale * (s * p).sum(axis=1), scale * (direction * q).sum(axis=1), scale * (v * q).sum(axis=1)
+        b = scale * (s * p).sum(axis=1)
+        c = scale * (direction * q).sum(axis=1)
+        far = scale * (v * q).sum(axis=1)
         far = far[(b >= 0) & (c >= 0) & (b + c <= 1) & (far > 0)]
     return min(far, default=math.inf)
 
@@ -33,13 +37,17 @@ def returns(mount, pattern, phase_rad, limits_m, object_corners, body_corners):
 
     Beams as the manuals draw them: azimuth clockwise from x, elevation from the horizon, starting beside the axis.
     """
-    sensor, count, cycle = mount.sensor, 0, 0
+    sensor = mount.sensor
+    count = 0
+    cycle = 0
     while phase_rad + cycle * pattern.step_rad < 2 * math.pi - 1e-9 * pattern.step_rad:
         for laser, lag in zip(pattern.laser, pattern.lag_rad, strict=True):
             head = phase_rad + cycle * pattern.step_rad + lag
-            azimuth, rise = head + sensor.azimuth_offset_rad[laser], sensor.elevation_rad[laser]
+            azimuth = head + sensor.azimuth_offset_rad[laser]
+            rise = sensor.elevation_rad[laser]
             way = math.cos(rise) * math.cos(azimuth), -math.cos(rise) * math.sin(azimuth), math.sin(rise)
-            forward, left = sensor.forward_offset_m[laser], sensor.lateral_offset_m[laser]
+            forward = sensor.forward_offset_m[laser]
+            left = sensor.lateral_offset_m[laser]
             start = np.array([forward * math.cos(head), -forward * math.sin(head), sensor.vertical_offset_m[laser]])
             start += left * math.sin(azimuth), left * math.cos(azimuth), 0.0
             origin = turned(*mount.rpy_rad, start) + mount.position_m

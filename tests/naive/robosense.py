@@ -40,7 +40,9 @@ def cells(payload: bytes):
 
 def point(units: int, head_deg: float, vertical_deg: float, horizontal_deg: float) -> tuple[float, float, float]:
     """As rs_driver has it: the lens lies ahead of the axis, x is forward, azimuth clockwise."""
-    r, w, h = units * 0.0025, math.radians(vertical_deg), math.radians(head_deg)
+    r = units * 0.0025
+    w = math.radians(vertical_deg)
+    h = math.radians(head_deg)
     a = math.radians(head_deg + horizontal_deg)
     return (
         r * math.cos(w) * math.cos(a) + LENS_M * math.cos(h),
@@ -64,7 +66,8 @@ def single(payloads: list[bytes], lasers: int, vertical: list[float], horizontal
                 continue
             to = azimuth[b + 1] if b < 11 else after
             step = (to - azimuth[b]) % 36000 if to is not None else (azimuth[b] - azimuth[b - 1]) % 36000
-            laser, within = c % lasers, c // lasers
+            laser = c % lasers
+            within = c // lasers
             part = (within * 55.556 + 1.73 * laser) / (per_block * 55.556)
             head_deg = (azimuth[b] + step * part) / 100
             late_us = (b * per_block + within) * 55.556 + first_us + 1.73 * laser
@@ -92,7 +95,8 @@ def as_rs_driver_reads_a_16p(payloads: list[bytes], vertical: list[float], horiz
 
 def dual_cells(payload: bytes, lasers: int):
     """(azimuth, laser, [units, intensity] of the first return, and of the second) of a packet with dual returns."""
-    azimuth, found = azimuths(payload), {(b, c): rest for b, c, *rest in cells(payload)}
+    azimuth = azimuths(payload)
+    found = {(b, c): rest for b, c, *rest in cells(payload)}
     for b in range(0, 12, lasers // 16):
         for laser in range(lasers):
             second = (b, laser + 16) if lasers == 16 else (b + 1, laser)

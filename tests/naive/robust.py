@@ -10,7 +10,8 @@ def subspaces(region, lidars):
     """The subspaces as sets of cuboids (i, j, k). region: (low, high, edge, excluded boxes); lidars: (t, R, beams in °)."""
     low, high, edge, boxes = region
     axes = [naive.centres(*of) for of in zip(low, high, edge, strict=True)]
-    signature, included = [], []
+    signature = []
+    included = []
     for x in axes[0]:
         signature.append([[tuple(gap((x, y, z), one) for one in lidars) for z in axes[2]] for y in axes[1]])
         included.append([[not any(within((x, y, z), *box) for box in boxes) for z in axes[2]] for y in axes[1]])

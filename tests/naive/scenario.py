@@ -11,7 +11,8 @@ STEP_S = 5e-4
 
 def walked(way_m, gain_m, speed_m_s, before_s):
     """How far a target still has to go, stepped backwards from the impact: steady, then losing its speed over gain_m."""
-    left, speed = 0.0, speed_m_s
+    left = 0.0
+    speed = speed_m_s
     for _ in range(round(before_s / STEP_S)):
         beyond = left - (way_m - gain_m)
         if beyond > 0:
@@ -27,7 +28,8 @@ def last_moment(speed_m_s, reaction_s, braking_m_s2, offset_m=0.0, ahead_m_s=0.0
     """
     before = 0.0
     while True:
-        gap, speed = (speed_m_s - ahead_m_s) * before, speed_m_s
+        gap = (speed_m_s - ahead_m_s) * before
+        speed = speed_m_s
         since = 0.0
         while speed > ahead_m_s:
             gap -= (speed - ahead_m_s) * 1e-3

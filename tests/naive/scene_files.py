@@ -8,16 +8,21 @@ def height_field_hit(heights, cell, origin, ray):
 
     Heights are rows from the north; the last row's first height stands at x = y = 0. Solved half by half.
     """
-    rows, columns = len(heights), len(heights[0])
+    rows = len(heights)
+    columns = len(heights[0])
     best = math.inf
     for south in range(rows - 1):
         for west in range(columns - 1):
-            sw, se = heights[rows - 1 - south][west], heights[rows - 1 - south][west + 1]
-            nw, ne = heights[rows - 2 - south][west], heights[rows - 2 - south][west + 1]
+            sw = heights[rows - 1 - south][west]
+            se = heights[rows - 1 - south][west + 1]
+            nw = heights[rows - 2 - south][west]
+            ne = heights[rows - 2 - south][west + 1]
             for slope_u, slope_v, lower in ((se - sw, ne - se, True), (ne - nw, nw - sw, False)):
                 # z = sw + slope_u u + slope_v v, with u and v in cells from the south-west corner
-                u0, v0 = origin[0] / cell - west, origin[1] / cell - south
-                du, dv = ray[0] / cell, ray[1] / cell
+                u0 = origin[0] / cell - west
+                v0 = origin[1] / cell - south
+                du = ray[0] / cell
+                dv = ray[1] / cell
                 along = ray[2] - slope_u * du - slope_v * dv
                 if along == 0:
                     continue

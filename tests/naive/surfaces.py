@@ -10,7 +10,9 @@ OUT = {"above": (0, 0, 1), "front": (1, 0, 0), "rear": (-1, 0, 0), "left": (0, 1
 def first_hit(triangles, point, side):
     """How far out (along `side`) the line through a point first meets triangles, and which; None: nowhere."""
     out = np.array(OUT[side], float)
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    a = triangles[:, 0]
+    b = triangles[:, 1]
+    c = triangles[:, 2]
     normal = np.cross(b - a, c - a)
     steep = normal @ out
     ahead = ((a - point) * normal).sum(axis=1) / np.where(abs(steep) > 1e-14, steep, np.nan)

@@ -14,8 +14,10 @@ def moved(item, seconds):
     if motion.velocity_m_s is not None:
         return 0.0, tuple(v * seconds for v in motion.velocity_m_s)
     arc = motion.arc
-    rate, heading = math.radians(arc.yaw_rate_deg_s), math.radians(arc.heading_deg)
-    steps, way = 2000, 0j
+    rate = math.radians(arc.yaw_rate_deg_s)
+    heading = math.radians(arc.heading_deg)
+    steps = 2000
+    way = 0j
     for k in range(steps):  # summed up along the way, by the midpoint rule
         way += cmath.exp(1j * (heading + rate * seconds * (k + 0.5) / steps)) * arc.speed_m_s * seconds / steps
     return rate * seconds, (way.real, way.imag, 0.0)

@@ -20,13 +20,28 @@ def hidden(corners, origin, targets, out):
     for triangle in corners:
         (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangle - origin
         # normals of the planes through the point and each edge
-        ux, uy, uz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        vx, vy, vz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-        wx, wy, wz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
-        px, py, pz, qx, qy, qz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
-        nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+        ux = ay * bz - az * by
+        uy = az * bx - ax * bz
+        uz = ax * by - ay * bx
+        vx = by * cz - bz * cy
+        vy = bz * cx - bx * cz
+        vz = bx * cy - by * cx
+        wx = cy * az - cz * ay
+        wy = cz * ax - cx * az
+        wz = cx * ay - cy * ax
+        px = bx - ax
+        py = by - ay
+        pz = bz - az
+        qx = cx - ax
+        qy = cy - ay
+        qz = cz - az
+        nx = py * qz - pz * qy
+        ny = pz * qx - px * qz
+        nz = px * qy - py * qx
         height = nx * ax + ny * ay + nz * az
-        u, v, w = ux * dx + uy * dy + uz * dz, vx * dx + vy * dy + vz * dz, wx * dx + wy * dy + wz * dz
+        u = ux * dx + uy * dy + uz * dz
+        v = vx * dx + vy * dy + vz * dz
+        w = wx * dx + wy * dy + wz * dz
         beside = ((u < 0) | (v < 0) | (w < 0)) & ((u > 0) | (v > 0) | (w > 0))
         along = nx * dx + ny * dy + nz * dz
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -36,8 +51,14 @@ def hidden(corners, origin, targets, out):
 
 def between(p, q, r, s):
     """The least distance of the segments p q and r s."""
-    u, v, w = q - p, s - r, p - r
-    a, b, c, d, e = u @ u, u @ v, v @ v, u @ w, v @ w
+    u = q - p
+    v = s - r
+    w = p - r
+    a = u @ u
+    b = u @ v
+    c = v @ v
+    d = u @ w
+    e = v @ w
     tries = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
     if a * c - b * b > 0:
         tries.append(((b * e - c * d) / (a * c - b * b), (a * e - b * d) / (a * c - b * b)))
@@ -52,7 +73,8 @@ def between(p, q, r, s):
 
 def nearest_edge_m(corners, origin, target):
     """How near a segment passes to an edge of triangles (T, 3, 3)."""
-    origin, target = np.asarray(origin, float), np.asarray(target, float)
+    origin = np.asarray(origin, float)
+    target = np.asarray(target, float)
     low, high = np.minimum(origin, target) - 1e-6, np.maximum(origin, target) + 1e-6
     near = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
     edges = [(one[i], one[(i + 1) % 3]) for one in corners[near] for i in range(3)]

@@ -55,7 +55,8 @@ def columns(request, tmp_path, monkeypatch):
 
 def test_there_and_back(tmp_path, columns):
     """Beside a VLP-16: every return is that of the ground truth, with the rig's poses or identified by its companion."""
-    rig, out = tmp_path / "rig.yaml", tmp_path / "a.pcap"
+    rig = tmp_path / "rig.yaml"
+    out = tmp_path / "a.pcap"
     run("export", rig, "--scene", tmp_path / "scene.yaml", "--duration", 0.3, "-o", out, "--truth", tmp_path / "t.npz")
     assert (tmp_path / "a-left.toy.json").is_file()
     assert not (tmp_path / "a-right.toy.json").exists()
@@ -63,7 +64,8 @@ def test_there_and_back(tmp_path, columns):
     run("decode", out, "--rig", "none", "-o", tmp_path / "bare.npz")
     cloud, bare = (load_cloud(tmp_path / f"{name}.npz", no_warning) for name in ("rig", "bare"))
     mount = load_rig(rig).mounts[0]
-    mine, alone = cloud.sensor == 0, bare.sensor == bare.sensor_names.index("192.168.1.201:4000")
+    mine = cloud.sensor == 0
+    alone = bare.sensor == bare.sensor_names.index("192.168.1.201:4000")
     xyz = transform(inverse(mount.T_vehicle_sensor), cloud.xyz[mine])
     np.testing.assert_allclose(xyz, bare.xyz[alone], rtol=0, atol=1e-12)
     with np.load(tmp_path / "t.npz") as truth:

@@ -26,7 +26,8 @@ class Toy(SequenceTiming, Codec):
     facts_model = Facts
 
     def __init__(self, sensor):
-        self.sensor, self.columns = sensor, sensor.section.checked(Facts).columns
+        self.sensor = sensor
+        self.columns = sensor.section.checked(Facts).columns
         self.dtype = np.dtype([("magic", "S4"), ("number", "<u4"), ("returns", RETURN, self.columns * sensor.count)])
 
     def firing_schedule(self, mount):
@@ -34,7 +35,8 @@ class Toy(SequenceTiming, Codec):
 
     def encode(self, mount, batch, range_m, reflectivity):
         packets = np.zeros(len(batch.number), self.dtype)
-        packets["magic"], packets["number"] = b"TOY1", batch.number
+        packets["magic"] = b"TOY1"
+        packets["number"] = batch.number
         millimetres = np.rint(np.where(range_m < 1e6, range_m, 0) * 1000)
         columns = batch.firings.time_ns, batch.firings.encoder_rad, millimetres, batch.firings.laser, reflectivity
         for key, column in zip(RETURN.names, columns, strict=True):

@@ -31,7 +31,8 @@ from tests.naive import placement as naive
 STUDIES = Path(__file__).parents[2] / "data/studies"
 UP = (0.0, 0.0, 1.0)
 GOLDEN = (5**0.5 - 1) / 2  # the lines' lattice is in step with no cone
-TURNS, STEPS = 360, 160  # of the points on a cone
+TURNS = 360
+STEPS = 160  # of the points on a cone
 
 
 def cones(position, axis, elevation_deg):
@@ -74,7 +75,8 @@ def test_a_cone_a_frustum_and_a_gap_between_two(tilt):
     """Their axes along z, y, −z and −y; the apex on a wall, behind it, and on a wall again."""
     axis = up((math.radians(tilt), 0.0, 0.0))
     region = Region.from_boxes((-1, -1, -1), (1, 1, 1), (0.05, 0.05, 0.05))
-    steep, flat = 1 / math.tan(math.radians(75)), 1 / math.tan(math.radians(68))
+    steep = 1 / math.tan(math.radians(75))
+    flat = 1 / math.tan(math.radians(68))
 
     v, s = cone(2.0, 2 * steep)
     found = bodies(region, [cones(-axis, axis, [75])])
@@ -91,7 +93,10 @@ def test_a_cone_a_frustum_and_a_gap_between_two(tilt):
 
 def test_a_cone_through_walls_is_what_quadrature_says():
     """z >= r tan θ over a rectangle; every part of it is an integral over one angle, or along one wall."""
-    a, b, height, slope = 1.5, 1.0, 1.0, math.tan(math.radians(35))
+    a = 1.5
+    b = 1.0
+    height = 1.0
+    slope = math.tan(math.radians(35))
 
     def radius(angle):
         wall = min(a / max(abs(math.cos(angle)), 1e-300), b / max(abs(math.sin(angle)), 1e-300))
@@ -152,7 +157,9 @@ def brute_force(region, lidars, fine):
         return np.ravel_multi_index([gaps_at(points, lidar) for lidar in lidars], bases)
 
     grid = np.where(included, signature(centres).reshape(included.shape), -1)
-    label, of, count = np.full(grid.shape, -1), [], 0
+    label = np.full(grid.shape, -1)
+    of = []
+    count = 0
     for value in np.unique(grid[included]):
         part, parts = ndimage.label(grid == value)
         label[part > 0] = part[part > 0] + count - 1
@@ -213,7 +220,9 @@ def test_tilted_lidars_are_what_brute_force_says(count):
 def on_a_line(region, axis, number):
     """A point of a line of the lattice along an axis, bit for bit; amid the region along it."""
     order = [axis, (axis + 1) % 3, (axis + 2) % 3]
-    shape, low, edge = np.array(region.shape)[order], region.min_m[order], region.cuboid_m[order]
+    shape = np.array(region.shape)[order]
+    low = region.min_m[order]
+    edge = region.cuboid_m[order]
     lines = core.LINES_PER_EDGE**2 * shape[1] * shape[2]
     u, v = shape[1] * (number + 0.5) / lines, shape[2] * ((number * GOLDEN + 0.5) % 1.0)
     point = np.empty(3)
@@ -252,7 +261,8 @@ def test_lines_see_what_plain_loops_see(name):
     region, lidars = SWEEPS[name]
     subspaces = segment(region, lidars)
     found = integrate(subspaces, lidars)
-    surface, pairs = np.zeros(len(subspaces)), []
+    surface = np.zeros(len(subspaces))
+    pairs = []
     for axis in range(3):
         order = [axis, (axis + 1) % 3, (axis + 2) % 3]
         volume, pieces, faces, joined = naive.sweep(
@@ -333,7 +343,8 @@ def test_tilted_lidars_are_what_marching_cubes_says(tmp_path, count, exclude):
     files = study_and_rig(tmp_path, TILTED[:count], exclude)
     told = CliRunner().invoke(cli, ["evaluate", *map(str, files), "--tolerance", "0.003", "--json"]).output
     found = json.loads(told)["analytic"]
-    region, lidars = load_study(files[0]).region, rig_lidars(load_rig(files[1]))
+    region = load_study(files[0]).region
+    lidars = rig_lidars(load_rig(files[1]))
     fine = region.halved().halved().halved()
     subspaces = segment(fine, lidars)
     parts = integrate(subspaces, lidars)
@@ -382,7 +393,8 @@ def test_an_apex_in_the_region_and_lines_through_it():
 def test_cones_that_coincide_are_one():
     region = Region.from_boxes((0, 0, 0), (2, 2, 1), (0.1, 0.1, 0.1))
     one = cones((0.9, 1.1, 0.3), (0.2, 0.1, 1), [-10, 20])
-    single, double = level(region, [one]), level(region, [one, one])
+    single = level(region, [one])
+    double = level(region, [one, one])
     assert double.max_vsr_m == pytest.approx(single.max_vsr_m, rel=1e-12)
 
 
@@ -399,7 +411,8 @@ def test_a_larger_region_has_a_larger_vsr(scale):
         rig = [Lidar(one.position_m * 2 * by, one.axis, one.sin_elevation) for one in RIG]
         return analytic(region, rig, 0.05)
 
-    found, unit = measured(scale), measured(1.0)
+    found = measured(scale)
+    unit = measured(1.0)
     assert found.max_vsr_m == pytest.approx(scale * unit.max_vsr_m, rel=1e-6)
     assert found.error_m == pytest.approx(scale * unit.error_m, rel=1e-3)
 
@@ -439,7 +452,8 @@ def test_evaluate_says_what_it_reached(tmp_path):
     words = ["evaluate", str(study), str(rig), "--tolerance"]
     result = json.loads(CliRunner().invoke(cli, [*words, "0.05", "--json"]).output)
     assert result["measure"] == "faces"
-    found, region = result["analytic"], load_study(study).region
+    found = result["analytic"]
+    region = load_study(study).region
     assert found["reached"]
     assert found["error_m"] <= 0.05 * found["max_vsr_m"]
     assert found["cuboids"] == 8 * region.included.size

@@ -35,7 +35,8 @@ def test_upright_is_in_the_middle_and_the_axis_is_that_of_angles_around_it(tmp_p
 
 
 def test_a_small_step_is_a_small_turn_everywhere_but_at_the_horizon(tmp_path):
-    found, rng = study(tmp_path), np.random.default_rng(2)
+    found = study(tmp_path)
+    rng = np.random.default_rng(2)
     x = rng.uniform(0.02, 0.98, (2000, 10))
     step = rng.uniform(-0.01, 0.01, x.shape)
     before, after = (up(found.poses(at)[..., 3:]) for at in (x, x + step))
@@ -47,7 +48,8 @@ def test_every_pose_between_the_bounds_is_one_of_some_point(tmp_path):
     edges = np.linspace(0, 1, 41)[:-1] + 0.0125
     roll, pitch = (one.ravel() for one in np.meshgrid(edges, edges))
     x = np.full((len(roll), 10), 0.5)
-    x[:, 3], x[:, 4] = roll, pitch
+    x[:, 3] = roll
+    x[:, 4] = pitch
     angles = found.poses(x)[:, 0, 3:5] / 3.1415
     assert np.unique(np.rint((angles - 0.0125) * 40), axis=0).shape == (1600, 2)
 

@@ -13,7 +13,9 @@ from lidarcfg.placement.batch import parallel_for
     ("threads", "numbers", "most"), [(1, 1000, 7), (2, 20_000, 100), (8, 20_000, 1), (8, 3, 5), (2, 0, 9)]
 )
 def test_each_number_is_taken_once(threads, numbers, most):
-    times, reported, lock = np.zeros(numbers, np.int64), [], Lock()
+    times = np.zeros(numbers, np.int64)
+    reported = []
+    lock = Lock()
 
     def work(counter, some, workspace):
         taken = 0

@@ -19,7 +19,8 @@ STUDIES = {f"{lidars}x{beams}" for lidars in (1, 2, 3, 4, 5) for beams in (4, 8,
 def max_vsr_m(poses, sin_elevation):
     """Max VSR by the paper's text, with SciPy's components and nothing of lidarcfg."""
     x, y, z = np.meshgrid(np.arange(60) + 0.5, np.arange(40) / 2 + 0.25, np.arange(20) / 5 + 0.1, indexing="ij")
-    place, label = np.stack([x, y, z], axis=-1), np.zeros(x.shape, np.int64)
+    place = np.stack([x, y, z], axis=-1)
+    label = np.zeros(x.shape, np.int64)
     for position, rpy in poses:
         away = place - position
         sine = away @ np.array(naive.matrix(rpy))[:, 2] / np.linalg.norm(away, axis=-1)
@@ -27,7 +28,9 @@ def max_vsr_m(poses, sin_elevation):
         label = label * (len(sin_elevation) + 1) + beam_gap
     excluded = (x > 27) & (x < 33) & (y > 8) & (y < 12)
     number = np.arange(x.size).reshape(x.shape)
-    pairs, shared_m2, kept = [], np.zeros(x.size), ~excluded
+    pairs = []
+    shared_m2 = np.zeros(x.size)
+    kept = ~excluded
     for axis, face_m2 in enumerate((0.5 * 0.2, 1 * 0.2, 1 * 0.5)):
         low, high = (np.take(number, n, axis) for n in (range(x.shape[axis] - 1), range(1, x.shape[axis])))
         alike = kept.ravel()[low] & kept.ravel()[high] & (label.ravel()[low] == label.ravel()[high])

@@ -53,7 +53,8 @@ def behind(origin, low, high):
 def test_the_volumes_by_number_of_lidars_add_up_to_the_region():
     region = Region.from_boxes((0, 0, 0), (3, 2, 1), (1, 1, 0.5), (((2, 0, 0), (3, 1, 1)),))
     seen_by = np.zeros(region.shape, np.uint8)
-    seen_by[0], seen_by[1, 0] = 2, 1
+    seen_by[0] = 2
+    seen_by[1, 0] = 1
     # 10 cuboids of 0.5 m³ count: 4 seen by two, 2 by one, 4 by none
     assert seen_by_m3(region, seen_by, 3).tolist() == [2.0, 1.0, 2.0, 0.0]
     assert fraction_below(region, seen_by, 1) == 0.4
@@ -143,7 +144,8 @@ def test_any_box_is_the_plain_loops():
         center = (low + high)[:2] / 2
         around = directions(REGION, center, outline_m(center, vertices, triangles), 0.5)
         found = contour(around, behind(origin, low, high))
-        corners, eye = vertices[triangles].tolist(), origin.tolist()
+        corners = vertices[triangles].tolist()
+        eye = origin.tolist()
 
         def hidden(point, eye=eye, corners=corners):
             return any(naive.crosses(eye, point, one) for one in corners)

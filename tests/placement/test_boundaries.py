@@ -33,7 +33,8 @@ def study(tmp_path, box, cuboid, position, rpy=(0, 0, 0), more="", bodies=""):
 
 def bodies(loaded):
     """{digit: (volume, surface)} of the subspaces on half the study's edges."""
-    region, lidars = loaded.region.halved(), loaded.lidars(loaded.lower)
+    region = loaded.region.halved()
+    lidars = loaded.lidars(loaded.lower)
     subspaces = segment(region, lidars, loaded.visibility)
     seen = integrate(subspaces, lidars, loaded.visibility)
     joined = seen.joined()
@@ -75,13 +76,15 @@ def test_a_low_plates_shadow_ends_on_the_floor(tmp_path):
 @pytest.mark.parametrize(("least", "most"), [(0, 0.83), (0.41, 0.83)])
 def test_ranges_are_spheres(tmp_path, least, most):
     loaded = study(tmp_path, ((-1, -1, -1), (1, 1, 1)), 0.1, (0.03, 0.05, -0.02), more=f"range_m: [{least}, {most}]")
-    volume, surface = (4 / 3 * math.pi * (most**3 - least**3), 4 * math.pi * (most**2 + least**2))
+    volume = 4 / 3 * math.pi * (most**3 - least**3)
+    surface = 4 * math.pi * (most**2 + least**2)
     assert seen_body(loaded) == pytest.approx((volume, surface), rel=1e-3)
 
 
 def seen_body(loaded):
     """(volume, surface) of what is seen, where what is not is two subspaces."""
-    region, lidars = loaded.region.halved(), loaded.lidars(loaded.lower)
+    region = loaded.region.halved()
+    lidars = loaded.lidars(loaded.lower)
     subspaces = segment(region, lidars, loaded.visibility)
     joined = integrate(subspaces, lidars, loaded.visibility).joined()
     (seen,) = np.flatnonzero(subspaces.gap[:, 0] == 0)
@@ -90,8 +93,10 @@ def seen_body(loaded):
 
 def test_a_range_beyond_a_wall_is_a_cap(tmp_path):
     loaded = study(tmp_path, ((-1, -1, 0), (1, 1, 1)), 0.1, (0, 0, -0.5), more="range_m: [0, 1.1]")
-    height, radius2 = 0.6, 1.1**2 - 0.5**2
-    volume, surface = math.pi * height**2 * (3 * 1.1 - height) / 3, 2 * math.pi * 1.1 * height + math.pi * radius2
+    height = 0.6
+    radius2 = 1.1**2 - 0.5**2
+    volume = math.pi * height**2 * (3 * 1.1 - height) / 3
+    surface = 2 * math.pi * 1.1 * height + math.pi * radius2
     assert bodies(loaded)[0] == pytest.approx((volume, surface), rel=1e-3)
 
 
@@ -114,7 +119,8 @@ def test_a_narrow_field_of_view_is_a_wedge(tmp_path):
 
 def test_a_tilted_field_of_view_cuts_a_cube_in_a_hexagon(tmp_path):
     """The plane x + y + z = 0: its normal is the sensor's x, and half a turn about that is seen."""
-    pitch, yaw = -math.degrees(math.asin(1 / math.sqrt(3))), 45
+    pitch = -math.degrees(math.asin(1 / math.sqrt(3)))
+    yaw = 45
     loaded = study(
         tmp_path, ((-1, -1, -1), (1, 1, 1)), 0.1, (0, 0, 0), (0, pitch, yaw), more="azimuth_fov_deg: [270, 90]"
     )
@@ -125,9 +131,12 @@ def test_a_tilted_field_of_view_cuts_a_cube_in_a_hexagon(tmp_path):
 def test_a_spheres_shadow_is_a_cone(tmp_path):
     ball = "vehicle: {spheres: [{name: ball, center_m: [1, 0, 0], radius_m: 0.4}]}"
     loaded = study(tmp_path, ((0, -1, -1), (2, 1, 1)), 0.1, (-0.2, 0, 0), bodies=ball)
-    distance, radius, wall = 1.2, 0.4, 2.2
+    distance = 1.2
+    radius = 0.4
+    wall = 2.2
     sine = radius / distance
-    tangent, touch = sine / math.sqrt(1 - sine**2), distance * (1 - sine**2)  # where the cone touches the sphere
+    tangent = sine / math.sqrt(1 - sine**2)
+    touch = distance * (1 - sine**2)  # where the cone touches the sphere
     depth = touch - (distance - radius)  # of the cap in front of that
     cone = (
         math.pi * tangent**2 * (wall**3 - touch**3) / 3,
@@ -142,7 +151,9 @@ def test_a_spheres_shadow_is_a_cone(tmp_path):
 def test_a_cylinders_shadow_between_floor_and_ceiling(tmp_path):
     post = "vehicle: {cylinders: [{name: post, base_m: [1, 1, -1], radius_m: 0.25, height_m: 3}]}"
     loaded = study(tmp_path, BOX, 0.1, (-0.2, 1, 0.5), bodies=post)
-    distance, radius, wall = 1.2, 0.25, 4.2
+    distance = 1.2
+    radius = 0.25
+    wall = 4.2
     turn = math.asin(radius / distance)
     touch = math.sqrt(distance**2 - radius**2)
     area = math.tan(turn) * wall**2 - touch * radius + (math.pi / 2 - turn) * radius**2  # beyond the near arc
@@ -155,7 +166,10 @@ def test_a_cylinders_shadow_below_its_rim(tmp_path):
     """Straight above it: its shadow widens from the upper rim to the floor, where the LiDAR is as high as it is."""
     drum = "vehicle: {cylinders: [{name: drum, base_m: [0, 0, 0.3], radius_m: 0.3, height_m: 0.2}]}"
     loaded = study(tmp_path, ((-1, -1, 0), (1, 1, 1)), 0.05, (0, 0, 1.1), bodies=drum)
-    top, low, near, far = 0.3, 0.3 * 1.1 / 0.6, 0.6, 1.1
+    top = 0.3
+    low = 0.3 * 1.1 / 0.6
+    near = 0.6
+    far = 1.1
     volume = math.pi / 3 * (low**2 * far - top**2 * near)
     side = math.pi * (low * math.hypot(low, far) - top * math.hypot(top, near))
     assert bodies(loaded)[BLIND] == pytest.approx((volume, side + math.pi * (low**2 + top**2)), rel=1e-3)
@@ -247,9 +261,12 @@ def changes(flips, row, line):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_sight_begins_and_ends_where_small_steps_find_it(tmp_path, pose, axis):
     """Some lines of the lattice; the steps may miss what is shorter than they are."""
-    loaded, number = busy_study(tmp_path), list(POSES).index(pose)
+    loaded = busy_study(tmp_path)
+    number = list(POSES).index(pose)
     lattice, flips = crossed(loaded.region, loaded.lidars(loaded.lower), loaded.visibility, axis)
-    lidar, scene, order = loaded.lidars(loaded.lower)[number], loaded.vehicle.scene, axes_from(axis)
+    lidar = loaded.lidars(loaded.lower)[number]
+    scene = loaded.vehicle.scene
+    order = axes_from(axis)
     sensor = {
         "position": lidar.position_m.tolist(),
         "x": lidar.level[:, 0].tolist(),
@@ -267,7 +284,8 @@ def test_sight_begins_and_ends_where_small_steps_find_it(tmp_path, pose, axis):
         return naive.sees(point, sensor, triangles, rounds, 0.05)
 
     low, high = lattice.low[0], lattice.low[0] + lattice.shape[0] * lattice.edge[0]
-    steps, compared = 150, 0
+    steps = 150
+    compared = 0
     for line in range(3, flips.start.shape[1], 25):
         u, v = line_place(lattice, line)
         state, wanted = naive.flips(see, u, v, low, high, steps)
@@ -289,7 +307,8 @@ def test_sight_begins_and_ends_where_small_steps_find_it(tmp_path, pose, axis):
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_lines_are_in_bodies_where_points_are(tmp_path, axis):
-    loaded, order = busy_study(tmp_path), axes_from(axis)
+    loaded = busy_study(tmp_path)
+    order = axes_from(axis)
     lattice, flips = crossed(loaded.region, (), None, axis)
     for line in range(0, flips.start.shape[1], 5):
         u, v = line_place(lattice, line)
@@ -305,11 +324,13 @@ def test_lines_are_in_bodies_where_points_are(tmp_path, axis):
 def test_lines_see_what_plain_loops_see(tmp_path):
     """How many pieces a subspace has, and which belong together: the same; lengths and normals to 1e-9 of the largest."""
     loaded = busy_study(tmp_path)
-    region, lidars = loaded.region, loaded.lidars(loaded.lower)
+    region = loaded.region
+    lidars = loaded.lidars(loaded.lower)
     subspaces = segment(region, lidars, loaded.visibility)
     assert (subspaces.gap == BLIND).any(axis=0).all()
     found = integrate(subspaces, lidars, loaded.visibility)
-    surface, pairs = np.zeros(len(subspaces)), []
+    surface = np.zeros(len(subspaces))
+    pairs = []
     for axis in range(3):
         order = axes_from(axis)
         _, flips = crossed(region, lidars, loaded.visibility, axis)

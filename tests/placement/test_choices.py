@@ -165,7 +165,8 @@ sensors:
 """
     )
     text = text.replace("fan-4: 500.5, os1-64: 12000", "helios-32: 3000")
-    loaded, found = study(tmp_path, text), combinations(study(tmp_path, text))
+    loaded = study(tmp_path, text)
+    found = combinations(study(tmp_path, text))
     assert len(found) == 5
     radius = {"vlp-16": 0.0515, "helios-32": 0.05}
     rng = np.random.default_rng(1)

@@ -32,7 +32,9 @@ def test_beams_across_lines_against_plain_loops(axis):
             digits = []
             for n in range(REGION.shape[axis]):
                 index = [0, 0, 0]
-                index[others[0]], index[others[1]], index[axis] = a, b, n
+                index[others[0]] = a
+                index[others[1]] = b
+                index[axis] = n
                 if REGION.included[tuple(index)]:
                     point = [float(centres[k][index[k]]) for k in range(3)]
                     digits.append([naive.digit(point, at, rpy, ELEVATION_DEG) for at, rpy in POSES])
@@ -58,9 +60,11 @@ def test_coverage_by_hand():
 @pytest.mark.parametrize(("size", "threshold", "on_ground"), [((1.2, 0.5, 0.4), 2, True), ((0.5, 1.0, 0.6), 3, False)])
 def test_rings_against_plain_loops(size, threshold, on_ground):
     item = DetectionObject(name="o", size_m=size, threshold=threshold, on_ground=on_ground)
-    centre, edges = np.array([2.9, 1.7]), np.array([0.0, 1.0, 1.5, 3.0, 9.0])
+    centre = np.array([2.9, 1.7])
+    edges = np.array([0.0, 1.0, 1.5, 3.0, 9.0])
     cells = [math.ceil(s / e - 1e-9) for s, e in zip(size, (0.5, 0.5, 0.25), strict=True)]
-    detected, places = [0] * 4, [0] * 4
+    detected = [0] * 4
+    places = [0] * 4
     nx, ny, nz = REGION.shape
     for i in range(nx - cells[0] + 1):
         for j in range(ny - cells[1] + 1):

@@ -93,14 +93,16 @@ def touched_by_hand(box, size):
     x, y, z, heading = box
     along = np.linspace(-0.4999, 0.4999, 25)
     a, b, c = np.meshgrid(along * size[0], along * size[1], np.linspace(1e-6, 1 - 1e-6, 12) * size[2])
-    px, py = x + a * np.cos(heading) - b * np.sin(heading), y + a * np.sin(heading) + b * np.cos(heading)
+    px = x + a * np.cos(heading) - b * np.sin(heading)
+    py = y + a * np.sin(heading) + b * np.cos(heading)
     cuboid = (px / 0.5).astype(int), (py / 0.5).astype(int), ((z + c) / 0.25).astype(int)
     labels = set(SPACES.label[cuboid].ravel().tolist())
     return None if -1 in labels else labels
 
 
 def test_free_places_and_headings_against_plain_monte_carlo():
-    size, threshold = (1.3, 0.6, 0.5), 3
+    size = (1.3, 0.6, 0.5)
+    threshold = 3
     rng = np.random.default_rng(2)
     hits = []
     while len(hits) < 600:

@@ -67,7 +67,8 @@ def test_what_a_source_takes_over_is_what_would_be_computed(tmp_path, body):
     """Links, and what is clear, of sources that took the places of trials, bit by bit as of a new evaluator."""
     path = tmp_path / "s.yaml"
     path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + body)
-    study, rng = load_study(path), np.random.default_rng(3)
+    study = load_study(path)
+    rng = np.random.default_rng(3)
     lidars = [slot.lidar for slot in study.slots]
     every = np.arange(6)
     x = rng.random((6, int(study.free.sum())))
@@ -268,7 +269,8 @@ def test_skipping_changes_nothing_in_rounds_that_smooth(tmp_path, monkeypatch, m
     path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + more)
     monkeypatch.setattr(annealing, "FIRST_WORK", 20)
     monkeypatch.setattr(annealing, "SECOND_WORK", 400)
-    study, smoothed = with_solver(load_study(path), method="annealing", evaluations=4000), []
+    study = with_solver(load_study(path), method="annealing", evaluations=4000)
+    smoothed = []
     asked = StudyEvaluator.costs
 
     def costs(self, poses, source, source_poses, upper_bound, smoothing=0.0):
@@ -305,7 +307,8 @@ def test_only_max_vsr_is_smoothed(tmp_path, more, smooths):
     asked = poses, np.arange(4), poses, np.full(4, np.inf)
     with StudyEvaluator(study, threads=2) as evaluator:
         assert evaluator.smooths == smooths
-        exact, smoothed = evaluator.costs(*asked), evaluator.costs(*asked, 1 / 32)
+        exact = evaluator.costs(*asked)
+        smoothed = evaluator.costs(*asked, 1 / 32)
     assert exact.tolist() == [study.cost(one) for one in poses]
     assert ((smoothed > exact) if smooths else (smoothed == exact)).all()
 

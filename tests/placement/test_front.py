@@ -45,7 +45,8 @@ def costs(found):
 
 def naive_max_vsr(mounts):
     """Of (model, position, rpy) by plain loops over the cuboids of REGION."""
-    edges, size = (1, 0.5, 0.5), (8, 6, 3)
+    edges = (1, 0.5, 0.5)
+    size = (8, 6, 3)
     axes = [naive.centres(0, high, edge) for high, edge in zip(size, edges, strict=True)]
     beams = [(at, rpy, sorted(load_sensor(model).beams.elevation_deg)) for model, at, rpy in mounts]
     gaps = [
@@ -92,7 +93,8 @@ def test_dominance_and_its_ties():
     """Against the definition, with many equal prices and objectives; of equal pairs the first is on the front."""
     rng = np.random.default_rng(5)
     for _ in range(50):
-        price, cost = rng.integers(5, size=30).tolist(), rng.integers(5, size=30).astype(float).tolist()
+        price = rng.integers(5, size=30).tolist()
+        cost = rng.integers(5, size=30).astype(float).tolist()
         front_of = on_front(price, cost)
         chosen = [pair for pair, there in zip(zip(price, cost, strict=True), front_of, strict=True) if there]
         assert sorted(chosen) == undominated(list(zip(price, cost, strict=True)))

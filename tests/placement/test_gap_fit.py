@@ -12,7 +12,8 @@ from lidarcfg.placement.subspace import Subspaces
 
 def labelled(label, cuboid_m=(1.0, 1.0, 1.0)):
     """Subspaces with these labels; nothing but label, region and number is asked for."""
-    label, cuboid = np.asarray(label, np.int32), np.array(cuboid_m)
+    label = np.asarray(label, np.int32)
+    cuboid = np.array(cuboid_m)
     region = Region(np.zeros(3), label.shape * cuboid, label >= 0)
     none = np.zeros(0, np.int64)
     cuboids = np.bincount(label[label >= 0])
@@ -21,7 +22,8 @@ def labelled(label, cuboid_m=(1.0, 1.0, 1.0)):
 
 def tried(label, size_m, cuboid_m, on_ground):
     """The subspaces that a box fits into, with the middles of its places: it is tried off the grid too."""
-    found, places = set(), []
+    found = set()
+    places = []
     for length, width in {size_m[:2], size_m[1::-1]}:
         box = np.array([length, width, size_m[2]])
         room = label.shape * np.array(cuboid_m) - box
@@ -47,7 +49,8 @@ def test_every_place_tried_out(seed, size_m, on_ground):
     rng = np.random.default_rng(seed)
     cuboid_m = (1.0, 0.5, 0.7)
     label = np.repeat(np.repeat(rng.integers(-1, 5, (3, 4, 2)), 2, axis=0), 2, axis=1)
-    vsr, vehicle = rng.random(5), np.array([2.0, 1.5])
+    vsr = rng.random(5)
+    vehicle = np.array([2.0, 1.5])
     item = DetectionObject(name="box", size_m=size_m, on_ground=on_ground)
     ours = gap_fit(labelled(label, cuboid_m), vsr, item, from_point(vehicle))
     if size_m[0] <= 6.0:  # what was counted for the detection rate tells the same
@@ -67,7 +70,8 @@ def test_a_slab_above_a_pedestrian():
     """Below 2 m everything is cut every metre, above there is one slab: who stands on the ground cannot hide there."""
     label = np.indices((4, 4, 4))
     label = np.where(label[2] >= 2, 0, 1 + label[0] + 4 * label[1] + 16 * label[2])
-    spaces, vsr = labelled(label), np.where(np.arange(64) == 0, 1.0, 0.1)
+    spaces = labelled(label)
+    vsr = np.where(np.arange(64) == 0, 1.0, 0.1)
     standing, flying = (
         gap_fit(spaces, vsr, DetectionObject(name="p", size_m=(0.5, 0.5, 1.7), on_ground=on), from_point(np.zeros(2)))
         for on in (True, False)

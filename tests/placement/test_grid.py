@@ -29,7 +29,8 @@ def digits(centres, lidar):
     """How many beams k have q >= u_k d² at each centre, in the order of operations that is laid down."""
     dx, dy, dz = np.ix_(*(centre - t for centre, t in zip(centres, lidar.position_m, strict=True)))
     a = lidar.axis
-    height, distance2 = (dx * a[0] + dy * a[1]) + dz * a[2], (dx * dx + dy * dy) + dz * dz
+    height = (dx * a[0] + dy * a[1]) + dz * a[2]
+    distance2 = (dx * dx + dy * dy) + dz * dz
     q = height * np.abs(height)
     return sum((q >= s * abs(s) * distance2 for s in lidar.sin_elevation), np.zeros(q.shape, int))
 

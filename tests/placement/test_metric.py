@@ -23,7 +23,8 @@ def bodies(shape, cuboid_m, seed):
     blobs = ndimage.zoom(rng.integers(0, 4, (3, 2, 2)), np.array(shape) / (3, 2, 2), order=0)[
         : shape[0], : shape[1], : shape[2]
     ]
-    label, count = np.full(shape, -1, np.int32), 0
+    label = np.full(shape, -1, np.int32)
+    count = 0
     for value in range(1, 4):
         found, n = ndimage.label(blobs == value)
         label[found > 0] = found[found > 0] - 1 + count
@@ -36,7 +37,8 @@ def bodies(shape, cuboid_m, seed):
 
 def brute_force(spaces):
     """For each body: of all nodes of the half cuboids' lattice the distance from the nearest face, and where."""
-    label, half = np.pad(spaces.label, 1, constant_values=-1), spaces.region.cuboid_m / 2
+    label = np.pad(spaces.label, 1, constant_values=-1)
+    half = spaces.region.cuboid_m / 2
     shape = [2 * n + 1 for n in spaces.label.shape]
     inside = np.full(shape, -1)
     for node in np.ndindex(*shape):
@@ -56,7 +58,8 @@ def test_the_largest_spheres(shape, cuboid_m):
     for seed in range(4):
         spaces = bodies(shape, np.array(cuboid_m), seed)
         radii, distance = brute_force(spaces)
-        spheres, numbers = Spheres(spaces), range(len(spaces))
+        spheres = Spheres(spaces)
+        numbers = range(len(spaces))
         found = [
             spheres.radius_m(number, extent) for number, extent in zip(numbers, extents(spaces, numbers), strict=True)
         ]
@@ -69,13 +72,16 @@ def test_the_largest_spheres(shape, cuboid_m):
 
 def test_of_equal_spheres_the_first_is_found():
     spaces = bodies((30, 6, 5), np.array((1.0, 1.0, 1.0)), 0)
-    spaces.label[:], spaces.label[10], spaces.label[20] = 0, -1, -1  # three boxes of 10, 9 and 9 × 6 × 5
+    spaces.label[:] = 0
+    spaces.label[10] = -1
+    spaces.label[20] = -1  # three boxes of 10, 9 and 9 × 6 × 5
     assert Spheres(spaces).largest() == (2.5, (5, 5, 5))
 
 
 def test_where_a_subspace_is():
     spaces = bodies((30, 6, 5), np.array((0.5, 0.4, 0.3)), 4)
-    edge, numbers = spaces.region.cuboid_m, list(range(len(spaces)))[::-1]
+    edge = spaces.region.cuboid_m
+    numbers = list(range(len(spaces)))[::-1]
     for number, extent in zip(numbers, extents(spaces, numbers), strict=True):
         index = np.argwhere(spaces.label == number)
         assert extent.centroid_m.tolist() == (spaces.region.min_m + (index.mean(axis=0) + 0.5) * edge).tolist()

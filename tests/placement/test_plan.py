@@ -67,12 +67,15 @@ def test_each_study_is_that_of_a_file_with_the_value_in_it(asks, tmp_path):
     }
     (run,) = (plan := asks(yaml.safe_dump({"study": "study.yaml", "vary": {k: [v] for k, v in values.items()}}))).runs
     by_hand = yaml.safe_load(STUDY)
-    by_hand["sensors"][0]["count"], by_hand["sensors"][1]["min"]["position_m"][1] = 2, -0.5
+    by_hand["sensors"][0]["count"] = 2
+    by_hand["sensors"][1]["min"]["position_m"][1] = -0.5
     del by_hand["solver"]["limit"], by_hand["detection"]
-    by_hand["solver"]["seed"], by_hand["vehicle"] = 9, values["vehicle"]
+    by_hand["solver"]["seed"] = 9
+    by_hand["vehicle"] = values["vehicle"]
     by_hand["constraints"] = {"max_tilt_deg": 15.5}
     (tmp_path / "by_hand.yaml").write_text(yaml.safe_dump(by_hand))
-    expected, found = load_study(tmp_path / "by_hand.yaml"), plan.studies.of(run.file)
+    expected = load_study(tmp_path / "by_hand.yaml")
+    found = plan.studies.of(run.file)
     assert found.file == expected.file
     assert (found.lower == expected.lower).all()
     assert found.solver == expected.solver

@@ -28,7 +28,8 @@ def test_bees_find_the_same_rig(study, seed, objective, x):
 
 
 def test_lshade_takes_the_same_path():
-    solver, best = Lshade(3, np.random.default_rng(7), 500), np.inf
+    solver = Lshade(3, np.random.default_rng(7), 500)
+    best = np.inf
     while not solver.over:
         cost = ((solver.ask().x - 0.3) ** 2).sum(axis=1)
         best = min(best, cost.min())

@@ -66,10 +66,14 @@ def test_rates_are_those_of_the_simulator(tmp_path):
     rig = rig_of(loaded)
     found = evaluate(loaded, rig)
     seen = found.return_counts["crate"]
-    body, target = box(4.5, 1.8, 1.0), box(0.6, 0.4, 0.3)
-    rate, worst, mean = [], [], []
+    body = box(4.5, 1.8, 1.0)
+    target = box(0.6, 0.4, 0.3)
+    rate = []
+    worst = []
+    mean = []
     for place in seen.target.places:
-        tracer, by_sensor = tracer_of([body, at_place(target, place)]), []
+        tracer = tracer_of([body, at_place(target, place)])
+        by_sensor = []
         for s, one in enumerate(rig.mounts):
             by_sensor.append([simulated(one, s, revolution(one, phase, 4), tracer, 1) for phase in range(4)])
         rate.append(np.mean([a + b >= 20 for a in by_sensor[0] for b in by_sensor[1]]))
@@ -111,7 +115,8 @@ def test_maps_and_rings_add_up(tmp_path):
     found = evaluate(loaded, rig)
     shown = report_inputs(loaded, rig, found)
     for name in ("crate", "child"):
-        rings, seen = shown.rings[name], found.return_counts[name]
+        rings = shown.rings[name]
+        seen = found.return_counts[name]
         assert rings.detected.sum() == pytest.approx(seen.probability.sum())
         assert rings.places.sum() == len(seen.probability)
     at = shown.detection_maps["crate"]
@@ -142,8 +147,10 @@ def test_the_objective_is_one_minus_the_rate_and_refutes_exactly(tmp_path, name)
     value = loaded.cost(poses)
     assert value == 1.0 - evaluate(loaded, loaded.rig(poses)).detection[name].rate
     one = next(one for one in loaded.detection_targets if one.item.name == name)
-    scanners, lidars = loaded.scanners(loaded.rig(poses).mounts), loaded.lidars(poses)
-    numbers, at = range(len(lidars)), sensor_poses(lidars)
+    scanners = loaded.scanners(loaded.rig(poses).mounts)
+    lidars = loaded.lidars(poses)
+    numbers = range(len(lidars))
+    at = sensor_poses(lidars)
     for limit in (0.2 * value, value, np.nextafter(value, 0), np.nextafter(value, 1), 1.5 * value):
         found = MissCounter(one, scanners, loaded.obstacles).rate(numbers, at, limit)
         assert found >= limit if value >= limit else found == value
@@ -161,7 +168,8 @@ def test_a_limit_that_no_rate_reaches_refutes_nothing(tmp_path, name, limit):
     some = np.linspace(0, len(one.places) - 1, 48).astype(int)
     one = replace(one, places=one.places[some], part=one.part[some])
     rig = rig_of(loaded)
-    scanners, lidars = loaded.scanners(rig.mounts), rig_lidars(rig)
+    scanners = loaded.scanners(rig.mounts)
+    lidars = rig_lidars(rig)
     (seen,) = return_counts([one], scanners, lidars, loaded.obstacles)
     counter = MissCounter(one, scanners, loaded.obstacles)
     found = counter.rate(range(len(lidars)), sensor_poses(lidars), limit)
@@ -238,7 +246,8 @@ OPEN = HEAD.format(3) + "property list uchar int vertex_indices\nend_header\n0 0
 def test_what_is_not_allowed_is_said_in_one_line(tmp_path, change, message):
     (tmp_path / "open.ply").write_text(OPEN + "3 0 1 2\n3 0 1 3\n3 0 2 3\n")
     (tmp_path / "empty.ply").write_text(HEAD.format(0) + "end_header\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n")
-    path, mesh = tmp_path / "s.yaml", str(ROOT / "data/objects/child.ply")
+    path = tmp_path / "s.yaml"
+    mesh = str(ROOT / "data/objects/child.ply")
     text = STUDY.replace(*change).replace("OBJECTIVE", "max_vsr: 1").replace("SENSOR", "vlp-16").replace("MESH", mesh)
     path.write_text(text)
     with pytest.raises(ConfigError) as raised:
@@ -257,7 +266,8 @@ def test_objects_that_look_alike_are_counted_once_and_are_what_each_is_alone(tmp
         "size_m: [0.6, 0.4, 0.3], returns: 5, step_m: 3",
         "size_m: [0.4, 0.6, 0.3], returns: 5, step_m: 2",
     ]
-    alone, before = [], STUDY[STUDY.index("  - {name: crate") :]
+    alone = []
+    before = STUDY[STUDY.index("  - {name: crate") :]
     for item in items:
         loaded = study(
             tmp_path,
@@ -266,7 +276,8 @@ def test_objects_that_look_alike_are_counted_once_and_are_what_each_is_alone(tmp
         alone.append(evaluate(loaded, rig_of(loaded)).return_counts["a"])
     every = "".join(f"  - {{name: {name}, {item}}}\n" for name, item in zip("abcd", items, strict=True))
     loaded = study(tmp_path, change=(before.replace("MESH", str(ROOT / "data/objects/child.ply")), every))
-    counted, told = [], []
+    counted = []
+    told = []
     real = return_counts_module.returns
     monkeypatch.setattr(
         return_counts_module, "returns", lambda places, *a, **k: counted.append(len(places)) or real(places, *a, **k)
@@ -287,7 +298,8 @@ def test_objects_that_look_alike_are_counted_once_and_are_what_each_is_alone(tmp
 def test_what_returns_will_cost_is_said(tmp_path, monkeypatch):
     """By a clock that counts places: a second each."""
     monkeypatch.setattr(checks, "SAMPLES", (8,))
-    loaded, done = study(tmp_path), [0.0]
+    loaded = study(tmp_path)
+    done = [0.0]
     real = checks.return_counts
 
     def timed(objects, *more):
@@ -313,7 +325,9 @@ def test_more_places_than_memory_holds_are_refused_with_the_figure(tmp_path, mon
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 36 * 24 * 2 * 150 + 1.0)
     loaded = study(tmp_path, change=step)
     rig = rig_of(loaded)
-    one, sensors, lidars = loaded.detection_targets[0], loaded.scanners(rig.mounts), rig_lidars(rig)
+    one = loaded.detection_targets[0]
+    sensors = loaded.scanners(rig.mounts)
+    lidars = rig_lidars(rig)
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 8 * 2 * 4 * len(one.places) - 1.0)
     with pytest.raises(LidarcfgError, match=r"counting the returns at 1,\d+ places to 2 sensors needs .* memory"):
         return_counts_module.return_counts([one], sensors, lidars, loaded.obstacles)

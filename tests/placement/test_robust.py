@@ -156,7 +156,9 @@ def test_weights_are_those_of_the_zones_around_each_centre_in_a_byte_a_cuboid(tm
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_thread_holds_the_subspaces_of_one_case_at_a_time(tmp_path, monkeypatch, threads):
     """Three rigs may be left of three LiDARs; how many Subspaces there are, by weak references to all that were made."""
-    loaded, made, most = study(tmp_path, OBJECTS + "objective: {detection: {box: 1}}\nrobust: {lost: 1}\n"), [], []
+    loaded = study(tmp_path, OBJECTS + "objective: {detection: {box: 1}}\nrobust: {lost: 1}\n")
+    made = []
+    most = []
     of = Links.subspaces
 
     def noted(links, kept):
@@ -187,7 +189,8 @@ def test_what_failures_and_mounting_errors_do(tmp_path, more):
     """Rigs evaluated one by one, by loops over all cuboids."""
     loaded = study(tmp_path, more)
     poses = random_poses(loaded, 1, 4)[0]
-    found, beams = robustness(loaded, loaded.rig(poses)), lidars(loaded, poses)
+    found = robustness(loaded, loaded.rig(poses))
+    beams = lidars(loaded, poses)
     rigs = [beams, *([*beams[:i], *beams[i + 1 :]] for i in range(3))]
     for left, kept in zip((found.whole, *found.without), rigs, strict=True):
         assert left.max_vsr_m == pytest.approx(naive.max_vsr(REGION, kept), rel=1e-12)
@@ -235,7 +238,8 @@ def replace_samples(robust, samples):
 
 @pytest.mark.parametrize("rpy_deg", [(0, 0, 0), (30, -80, 170), (10, 90, 40), (0, -90, 0), (180, 0, 90)])
 def test_a_lidar_turns_about_its_own_axes(rpy_deg):
-    pose, error = np.array([[1, 2, 3, *np.radians(rpy_deg)]]), np.array([[0.1, 0.2, 0.3, 0.01, -0.02, 0.03]])
+    pose = np.array([[1, 2, 3, *np.radians(rpy_deg)]])
+    error = np.array([[0.1, 0.2, 0.3, 0.01, -0.02, 0.03]])
     moved = mounted(pose, error)[0]
     expected = naive_placement.times(naive_placement.matrix(pose[0, 3:]), naive_placement.matrix(error[0, 3:]))
     assert moved[:3].tolist() == pytest.approx([1.1, 2.2, 3.3])

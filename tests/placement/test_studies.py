@@ -30,9 +30,11 @@ def files(tmp_path):
 
 @pytest.mark.parametrize("kind", [str, Path])
 def test_a_file_is_as_good_as_what_is_loaded_from_it(files, kind):
-    study, rig = kind(files / "study.yaml"), kind(files / "rig.yaml")
+    study = kind(files / "study.yaml")
+    rig = kind(files / "rig.yaml")
     loaded = lidarcfg.load_study(study), lidarcfg.load_rig(rig)
-    found, known = lidarcfg.evaluate(study, rig), evaluation.evaluate(*loaded)
+    found = lidarcfg.evaluate(study, rig)
+    known = evaluation.evaluate(*loaded)
     assert np.array_equal(found.vsr_m, known.vsr_m)
     assert found.detection["child"] == known.detection["child"]
     assert lidarcfg.optimize(study).rig == lidarcfg.optimize(loaded[0], threads=1).rig

@@ -89,7 +89,8 @@ def test_fixed_coordinates_stay_and_bounds_are_reached_exactly(tmp_path):
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_a_seed_gives_the_same_run_on_any_number_of_threads(tmp_path, threads):
     small = study(tmp_path)
-    first, again = optimize(small, threads=1), optimize(small, threads=threads)
+    first = optimize(small, threads=1)
+    again = optimize(small, threads=threads)
     assert again.rig == first.rig
     assert [(c.cycle, c.evaluations, c.best, c.mean) for c in again.history] == [
         (c.cycle, c.evaluations, c.best, c.mean) for c in first.history

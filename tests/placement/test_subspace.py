@@ -37,7 +37,9 @@ def cells(subspaces, number):
 
 def test_a_box_is_abc_over_twice_its_faces():
     box = bodies(np.ones((3, 4, 5)))
-    a, b, c = 3 * 0.8, 4 * 0.5, 5 * 0.25
+    a = 3 * 0.8
+    b = 4 * 0.5
+    c = 5 * 0.25
     assert vsr_m(box).tolist() == pytest.approx([a * b * c / (2 * (a * b + b * c + c * a))], rel=1e-14)
     assert volume_m3(box) == pytest.approx([a * b * c])
     assert Spheres(box).largest()[0] == pytest.approx(c / 2)
@@ -146,7 +148,8 @@ def test_components_agree_with_scipy(seed, kinds, shape):
 @given(st.integers(0, 2**32 - 1), st.tuples(*[st.integers(1, 4)] * 3))
 def test_inscribed_spheres_equal_brute_force(seed, shape):
     body = bodies(np.random.default_rng(seed).integers(1, 3, shape))
-    spheres, numbers = Spheres(body), sorted({0, int(body.cuboids.argmax())})
+    spheres = Spheres(body)
+    numbers = sorted({0, int(body.cuboids.argmax())})
     for number, extent in zip(numbers, extents(body, numbers), strict=True):
         expected = naive.inscribed_radius(cells(body, number), EDGES, shape)
         assert spheres.radius_m(number, extent) == pytest.approx(expected, rel=1e-12)

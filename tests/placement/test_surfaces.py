@@ -103,7 +103,8 @@ def test_nothing_narrow_stays_under_a_base(tmp_path):
             loaded = study(tmp_path, bodies, on("cab", "above", (0.9, -0.1, 1.5), (1.1, 0.1, 2.5), upright=upright))
             poses = random(loaded, 400)
             clear = np.linalg.norm(np.maximum(abs(poses[:, 0, :2] - (1, 0)) - away, 0), axis=1) - 0.05
-            fits, sure = loaded.violation(poses) == 0, abs(clear) > 0.05 / 12
+            fits = loaded.violation(poses) == 0
+            sure = abs(clear) > 0.05 / 12
             assert ((clear > 0) == fits)[sure].all()
             assert 0.2 < fits.mean() < 0.9
 
@@ -114,9 +115,11 @@ def test_on_a_car_as_plain_loops_have_it(tmp_path, side, upright):
     """Where bases fit, where they are, and which way axes point, by loops over all triangles."""
     loaded = study(tmp_path, CAR, on("body", side, (-2.5, -1.1, 0), (2.5, 1.1, 1.6), upright=upright, step_m=0.02))
     vertices, triangles = loaded.vehicle.scene.mesh()
-    corners, slot = vertices[triangles], loaded.slots[0].surface
+    corners = vertices[triangles]
+    slot = loaded.slots[0].surface
     poses = random(loaded, 20)
-    fits, axes = loaded.violation(poses) == 0, up(poses[:, 0, 3:])
+    fits = loaded.violation(poses) == 0
+    axes = up(poses[:, 0, 3:])
     for pose, fit, axis in zip(poses[:, 0], fits, axes, strict=True):
         mount = np.array(naive.OUT[side]) if upright else axis
         base = pose[:3] - 0.05 * mount
@@ -217,7 +220,8 @@ GROUPS = st.sampled_from(
 def test_what_does_not_violate_is_on_the_surface(tmp_path_factory, group, data):
     """Any place, any size: what has no violation lies on its body, with all of its rim, and inside its box."""
     vehicle, body, sides = group
-    side, upright = data.draw(st.sampled_from(sides)), data.draw(st.booleans())
+    side = data.draw(st.sampled_from(sides))
+    upright = data.draw(st.booleans())
     radius = data.draw(st.floats(0.005, 0.3))
     text = on(body, side, (-2, -1, 0.2), (2, 1, 2), base_radius_m=radius, upright=upright, step_m=radius)
     loaded = study(tmp_path_factory.mktemp("any"), vehicle, text)
@@ -245,7 +249,8 @@ def _off(loaded, body, points):
     if body == "ball":
         return np.linalg.norm(points - item.center_m, axis=1) - item.radius_m
     if body == "tank":
-        flat, up_m = np.hypot(*(points - item.base_m)[:, :2].T), points[:, 2] - item.base_m[2] - item.height_m / 2
+        flat = np.hypot(*(points - item.base_m)[:, :2].T)
+        up_m = points[:, 2] - item.base_m[2] - item.height_m / 2
         away = np.stack([flat - item.radius_m, abs(up_m) - item.height_m / 2], axis=1)
     else:
         away = abs(points - item.center_m) - np.array(item.size_m) / 2
@@ -267,7 +272,8 @@ def test_a_search_stays_on_the_surface(tmp_path):
     for pose, slot in zip(poses, loaded.slots, strict=True):
         surface = slot.surface
         mount = np.array(naive.OUT[surface.side]) if surface.upright else up(pose[3:])
-        base, corners = pose[:3] - 0.05 * mount, vertices[triangles]
+        base = pose[:3] - 0.05 * mount
+        corners = vertices[triangles]
         args = surface.radius_m, surface.step_m, surface.low_m, surface.high_m, surface.upright
         assert naive.sits(corners, [0] * len(corners), 0, surface.side, base, *args)
 

@@ -58,7 +58,8 @@ def test_the_search_goes_on_from_the_best_start():
     """A narrow bowl far from the middle, found within it."""
     target = np.array([0.93, 0.07, 0.5])
     first = np.array([[0.5, 0.5, 0.5], [0.9, 0.1, 0.45], [0.1, 0.9, 0.1]])
-    search, asked = WarmStart(first, 3), 0
+    search = WarmStart(first, 3)
+    asked = 0
     while not search.over and asked < 3000:
         x = search.ask().x
         asked += len(x)

@@ -169,13 +169,17 @@ def test_most_of_a_triangles_shadow_takes_no_segments(seed):
 def test_the_whole_pipeline_cuboid_by_cuboid(seed):
     """Labels, blind ones too, and max VSR, against asin, atan2 and breadth-first search, with bodies, ranges and fields."""
     rng = np.random.default_rng(seed)
-    low, edges, shape = rng.uniform(-4, -2, 3), rng.uniform(0.5, 1, 3), (9, 7, 6)
+    low = rng.uniform(-4, -2, 3)
+    edges = rng.uniform(0.5, 1, 3)
+    shape = (9, 7, 6)
     high = low + np.array(shape) * edges
     region = Region(low, high, rng.random(shape) < 0.95)
     mesh = lathe(GOBLET * (1.5, 1.2), 9, tuple(rng.uniform(-1, 0, 3)))
-    known, plain = [], []
+    known = []
+    plain = []
     for _ in range(rng.integers(1, 4)):
-        position, rpy = rng.uniform(low, high), rng.uniform(-0.6, 0.6, 3)
+        position = rng.uniform(low, high)
+        rpy = rng.uniform(-0.6, 0.6, 3)
         elevation_deg = np.sort(rng.uniform(-40, 40, 3))
         range_m = tuple(np.sort(rng.uniform(0, 7, 2))) if rng.random() < 0.7 else None
         fov_deg = tuple(rng.uniform(0, 360, 2)) if rng.random() < 0.7 else None

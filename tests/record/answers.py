@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-INPUTS, RECORD = Path(__file__).parent / "inputs", Path(__file__).parent / "record.json"
+INPUTS = Path(__file__).parent / "inputs"
+RECORD = Path(__file__).parent / "record.json"
 Answers = Mapping[str, object]
 Case = Callable[[Path], Answers]
 CASES: dict[str, Case] = {}

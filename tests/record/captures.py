@@ -130,10 +130,12 @@ for each in ("block", "wet", "hills"):
     @case(f"echoes in {each}")
     def _echoes(folder: Path, name: str = each) -> Answers:
         """The truth of every return of sensors that are not perfect, and their packets."""
-        rig, answers = package.load_rig(INPUTS / "rigs" / "real.yaml"), {}
+        rig = package.load_rig(INPUTS / "rigs" / "real.yaml")
+        answers = {}
         for moving in (False, True):
             path = package.load_path(INPUTS / "trajectory.tum" if moving else None)
-            at, truth = package.Trajectory(AT, path, package.START_NS), []
+            at = package.Trajectory(AT, path, package.START_NS)
+            truth = []
             streams = package.packets(rig, scene(name), at, 40_000_000, on_truth=truth.append)
             octets = b"".join(record for stream in streams for some in stream for record in some.records)
             rows = np.concatenate(truth)
@@ -201,7 +203,8 @@ if CAPTURES:
         @case(f"{RECORDING}{each}")
         def _recording(folder: Path, name: str = each) -> Answers:
             """The points, scans and firings of a real sensor."""
-            path, model = Path(CAPTURES or "") / name, RECORDINGS[name] and sensor(RECORDINGS[name])
+            path = Path(CAPTURES or "") / name
+            model = RECORDINGS[name] and sensor(RECORDINGS[name])
             clouds = list(package.decode_pcap(path, quiet, model=model))
             answers = cloud_of(package.concatenate(clouds))
             lengths = [len(scan.xyz) for scan in package.scans(path, quiet, model=model)]

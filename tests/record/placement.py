@@ -143,7 +143,8 @@ def _analytic(folder: Path) -> Answers:
         found = package.evaluate(study(name), rigs(name, 1)[0], tolerance).analytic
         answers |= named(name, {"max vsr": found.max_vsr_m, "error": found.error_m, "cuboid": found.cuboid_m})
     for name in LIMITED:
-        one, lidars = study(name), package.rig_lidars(rigs(name, 2)[1])
+        one = study(name)
+        lidars = package.rig_lidars(rigs(name, 2)[1])
         seen = package.integrate(package.segment(one.region, lidars, one.visibility), lidars, one.visibility)
         answers |= named(name, {key: getattr(seen, key) for key in ("volume", "shadow", "surface", "whole")})
     return answers
@@ -154,7 +155,8 @@ def _sight(folder: Path) -> Answers:
     """Which points and cuboids each LiDAR sees, with all that limits it, and without what hides."""
     answers: dict[str, object] = {}
     for name in LIMITED:
-        one, lidars = study(name), package.rig_lidars(rigs(name, 1)[0])
+        one = study(name)
+        lidars = package.rig_lidars(rigs(name, 1)[0])
         low, high = one.region.min_m, one.region.max_m
         points = low + np.random.Generator(np.random.Philox(2)).random((3000, 3)) * (high - low)
         for kind, sight in (("limited", one.visibility), ("transparent", one.visibility.transparent())):
@@ -181,7 +183,8 @@ def _returns(folder: Path) -> Answers:
     ]
     rig = package.rig_of(folder, sensors)
     one = study("car-returns")
-    scanners, at = one.scanners(rig.mounts), package.sensor_poses(package.rig_lidars(rig))
+    scanners = one.scanners(rig.mounts)
+    at = package.sensor_poses(package.rig_lidars(rig))
     for sought in one.detection_targets:
         for kind, obstacles in (("", one.obstacles), (" in the open", package.NO_OBSTACLES)):
             found = package.returns(sought.places, sought.target, scanners, at, obstacles)
@@ -199,8 +202,11 @@ for each in OBJECTIVES:
     def _costs(folder: Path, name: str = each) -> Answers:
         """Costs of trials around sources, also where only better ones matter, and smoothed."""
         count = 24
-        one, every = study(name), poses(name, 6 + count, seed=3)
-        sources, trials, answers = every[:6], every[6:].copy(), {}
+        one = study(name)
+        every = poses(name, 6 + count, seed=3)
+        sources = every[:6]
+        trials = every[6:].copy()
+        answers = {}
         which = np.arange(count) % 6
         trials[count // 2 :] = sources[which[count // 2 :]]
         trials[count // 2 :, 0] = every[6 : 6 + count // 2, 0]  # one sensor moves alone

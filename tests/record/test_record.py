@@ -10,7 +10,8 @@ RECORD = load_record()
 
 @pytest.mark.parametrize("name", CASES)
 def test_answers_are_the_recorded_ones(name, tmp_path):
-    found, recorded = record_of(name, tmp_path), RECORD[name]
+    found = record_of(name, tmp_path)
+    recorded = RECORD[name]
     assert list(found) == list(recorded)
     changed = [key for key in found if found[key] != recorded[key]]
     assert not changed, f"{len(changed)} of {len(found)} answers changed, first {changed[:5]}"

@@ -121,13 +121,16 @@ def _insides(folder: Path) -> Answers:
 @case("pictures")
 def _pictures(folder: Path) -> Answers:
     """Translucent triangles behind and in front of points, some of them cut by the near plane."""
-    height, width, count = 90, 160, 120
+    height = 90
+    width = 160
+    count = 120
     image = np.asarray(255 * random(7, height, width, 3), np.float32)
     depth_m = np.asarray(4 + 30 * random(8, height, width), np.float32)
     depth_m[::3] = np.inf
     corners = random(9, count, 3, 3) * (20, 12, 30) - (10, 6, 2)
     corners[:20] = corners[20:40] + 0.3 * random(10, 20, 3, 3)
     order = np.argsort(-corners[:, :, 2].mean(axis=1), kind="stable")
-    colours, alpha = 255 * random(11, count, 3), random(12, count)
+    colours = 255 * random(11, count, 3)
+    alpha = random(12, count)
     blended = package.fill(image, depth_m, corners[order], colours, alpha, 130.0, 0.3)
     return {"image": image, "blended": int(blended)}

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-SECONDS, MEGABYTES = 10.0, 1000.0  # of a processor and of memory: a bad input is refused, or used, within both
+SECONDS = 10.0
+MEGABYTES = 1000.0  # of a processor and of memory: a bad input is refused, or used, within both
 HANGS_S = 300
 MARKS = "first", "second"  # the rig or study that a file is of
 FORKS = multiprocessing.get_context("forkserver")
@@ -153,7 +154,8 @@ def _child(words, folder, file_bytes, kill_at, environment, encoding):
 
 def _watch(folder, kill_at):
     """Count the steps of writing in a folder, in the file .steps; at the given one, kill this process."""
-    log, steps = os.open(".steps", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 0
+    log = os.open(".steps", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    steps = 0
 
     def hook(event, given):
         nonlocal steps

@@ -53,10 +53,12 @@ def clean(folder):
 @pytest.mark.parametrize("suffix", [suffix for suffix in READS if suffix != ".stl"])
 def test_damaged_files(folder, sources, suffix, times):
     """Cut off, with a byte changed, with a part doubled, empty."""
-    draw, whole = random.Random(suffix), sources[suffix].read_bytes()
+    draw = random.Random(suffix)
+    whole = sources[suffix].read_bytes()
     path = folder / f"damaged{suffix}"
     for number in range(4 * times):
-        at, data = draw.randrange(len(whole)), bytearray(whole)
+        at = draw.randrange(len(whole))
+        data = bytearray(whole)
         if number % 4 == 0:
             data = data[:at]
         elif number % 4 == 1:

@@ -58,7 +58,8 @@ def test_beside_a_search_and_an_evaluation(folder):
         digits = 4 if key == "vsr_m" else 2
         less = round(ours[key], digits) - round(theirs[key], digits)
         assert f"{less:+z,.{digits}f}" in page.words
-    rate, other = result["detection"]["person"], base["detection"]["person"]
+    rate = result["detection"]["person"]
+    other = base["detection"]["person"]
     assert f"person {rate:.4f} {result['detection_places']['person']:,} places, " in page.words
     assert f"baseline {other:.4f} {base['detection_places']['person']:,} places, " in page.words
     assert f"difference {round(rate, 4) - round(other, 4):+z.4f}" in page.words

@@ -14,14 +14,16 @@ from lidarcfg.sensors.rig import load_rig
 
 ROOT = Path(__file__).parents[2]
 
-LOW, HIGH = np.zeros(2), np.array([100.0, 60.0])
+LOW = np.zeros(2)
+HIGH = np.array([100.0, 60.0])
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_no_box_lies_over_another_and_none_leaves_the_frame(seed):
     """By plain comparisons of the boxes' edges."""
     draws = np.random.default_rng(seed)
-    places, sizes = draws.uniform((40, 0), (60, 15), (14, 2)), draws.uniform((5, 4), (9, 6), (14, 2))
+    places = draws.uniform((40, 0), (60, 15), (14, 2))
+    sizes = draws.uniform((5, 4), (9, 6), (14, 2))
     places[3] = places[4] = places[5]
     found = spread(places, sizes, LOW, HIGH)
     for (a, da), (b, db) in combinations(zip(found, sizes / 2, strict=True), 2):

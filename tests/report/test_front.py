@@ -52,7 +52,8 @@ def test_a_folder_for_each_point(folder):
     assert len(said["points"]) >= 2
     for point in said["points"]:
         there = folder / "out" / point["folder"]
-        result, rig = json.loads((there / "result.json").read_text()), load_rig(there / "rig.yaml")
+        result = json.loads((there / "result.json").read_text())
+        rig = load_rig(there / "rig.yaml")
         found = evaluate(study, rig)
         assert point["price"] == sum(study.file["prices"][mount.sensor.name] for mount in rig.mounts)
         assert point["objective"] == result["objective"]
@@ -82,12 +83,14 @@ def test_the_numbers_of_the_search(folder):
 def test_the_page_and_the_table(folder):
     """Both name every point with its price; every link of the page leads somewhere."""
     said = json.loads((folder / "out/front.json").read_text())
-    page, printed = (folder / "out/front.html").read_text(), (folder / "printed").read_text()
+    page = (folder / "out/front.html").read_text()
+    printed = (folder / "printed").read_text()
     for link in re.findall(r'<a href="([^#"]+)"', page):
         assert (folder / "out" / link).is_file()
     for point in said["points"]:
         assert page.count(f'href="{point["folder"]}/report.html"') == 1
-        cost, objective = f"{point['price']:,g}", point["objective"]
+        cost = f"{point['price']:,g}"
+        objective = point["objective"]
         assert re.search(rf"^ +{cost} +{objective:.4f} .*{point['sensors']}", printed, re.MULTILINE)
         assert f"{objective:.6f}" in page
     assert page.count("<svg") == 1
@@ -136,7 +139,8 @@ def test_the_cheapest_are_tried_first(tmp_path):
     assert [one.combination.price for one in search.candidates if one.evaluations] == [100, 200]
     assert len(search.candidates) == 5
     plain = STUDY.replace("objective: {max_vsr: 1, detection: {box: 0.5}}\n", "")
-    zones, lost = "zones: [{name: near, min_m: [0, 0, 0], max_m: [4, 6, 3]}]\n", "robust: {position_sigma_m: 0.1}\n"
+    zones = "zones: [{name: near, min_m: [0, 0, 0], max_m: [4, 6, 3]}]\n"
+    lost = "robust: {position_sigma_m: 0.1}\n"
     for text, named in ((plain, "max VSR (m)"), *((t, "objective") for t in (plain + zones, plain + lost, STUDY))):
         (tmp_path / "study.yaml").write_text(text)
         axes = draw_front(load_study(tmp_path / "study.yaml"), search).axes

@@ -45,7 +45,8 @@ def test_a_short_name_stays_and_a_long_one_keeps_its_ends():
 def test_a_drawing_holds_long_names(tmp_path):
     """By matplotlib's own measures; it warns, which is an error here, of axes for which texts leave no room."""
     folder = folder_with(tmp_path)
-    study, rig = load_study(folder / "study.yaml"), load_rig(folder / "rig.yaml")
+    study = load_study(folder / "study.yaml")
+    rig = load_rig(folder / "rig.yaml")
     figure = draw_rig(study, rig, evaluate(study, rig))
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -73,7 +74,8 @@ def test_of_many_sensors_the_first_are_listed(tmp_path):
     folder = folder_with(tmp_path)
     mounts = ", ".join(f"{{name: s{i}, model: vlp-16, position_m: [0, 0, 1.4]}}" for i in range(12))
     (folder / "rig.yaml").write_text(f"name: many\nsensors: [{mounts}]\n")
-    study, rig = load_study(folder / "study.yaml"), load_rig(folder / "rig.yaml")
+    study = load_study(folder / "study.yaml")
+    rig = load_rig(folder / "rig.yaml")
     found = evaluate(study, rig)
     texts = [text.get_text() for text in draw_rig(study, rig, found).axes[0].get_legend().get_texts()]
     assert texts == [*(f"s{i}" for i in range(8)), "and 4 more"]

@@ -71,8 +71,13 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.open, self.ids, self.links, self.tags, self.text = [], [], [], [], []
-        self.labels, self.heads = [], []
+        self.open = []
+        self.ids = []
+        self.links = []
+        self.tags = []
+        self.text = []
+        self.labels = []
+        self.heads = []
         self.feed(text)
         self.close()
         assert self.open == []
@@ -160,7 +165,8 @@ def runs(study, found, tmp_path_factory):
 
 
 def test_the_page_says_what_result_json_says(runs):
-    page, result = read((runs[0] / "report.html").read_text()), json.loads((runs[0] / "result.json").read_text())
+    page = read((runs[0] / "report.html").read_text())
+    result = json.loads((runs[0] / "result.json").read_text())
     assert [link for link in page.links if link[1:] in SECTIONS] == [f"#{key}" for key in SECTIONS]
     bar = result["analytic"]
     said = [
@@ -207,7 +213,8 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
     rigs = [study.rig(study.poses(np.full((1, int(study.free.sum())), at))[0]) for at in (0.5, 0.0)]
     shown = [report_inputs(study, rig, evaluate(study, rig), cheap_cuboids=100) for rig in rigs]
     save_evaluation(study, rigs[0], shown[0], tmp_path / "o")
-    page, result = read((tmp_path / "o/report.html").read_text()), json.loads((tmp_path / "o/result.json").read_text())
+    page = read((tmp_path / "o/report.html").read_text())
+    result = json.loads((tmp_path / "o/result.json").read_text())
     assert "the vehicle (cab)" in page.words
     total = sum(result["seen_by_m3"])
     assert result["shadow_volume_m3"] == result["seen_by_m3"][0] > 0
@@ -221,10 +228,8 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
         assert f"{one['area_m2']:.2f}" in page.words
     compared = contenders([(f"{n}", rig, one) for n, (rig, one) in enumerate(zip(rigs, shown, strict=True))])
     save_comparison(study, compared, tmp_path / "c", Commands("typed", "again"))
-    page, values = (
-        read((tmp_path / "c/compare.html").read_text()),
-        json.loads((tmp_path / "c/compare.json").read_text()),
-    )
+    page = read((tmp_path / "c/compare.html").read_text())
+    values = json.loads((tmp_path / "c/compare.json").read_text())
     blind = [one["shadow_volume_m3"] for one in values["rigs"]]
     assert blind[0] != blind[1]
     assert values["best"]["shadow (m³)"] == ["AB"[blind.index(min(blind))]]
@@ -237,7 +242,8 @@ def test_an_evaluation_without_objects(tmp_path):
     rig = load_rig(ROOT / "data/rigs/roof.yaml")
     shown = report_inputs(bare, rig, evaluate(bare, rig))
     save_evaluation(bare, rig, shown, tmp_path / "o")
-    page, bar = read((tmp_path / "o/report.html").read_text()), shown.evaluation.analytic
+    page = read((tmp_path / "o/report.html").read_text())
+    bar = shown.evaluation.analytic
     assert "names no objects" in page.words
     assert "No search was run" in page.words
     assert "Nothing: the rig was evaluated once, in full." in page.words

@@ -55,7 +55,8 @@ def study_of(folder, method, objective, without="none"):
 @pytest.mark.parametrize(("method", "objective"), list(itertools.product(METHODS, OBJECTIVES)))
 def test_what_was_skipped(tmp_path, method, objective):
     study = study_of(tmp_path, method, objective)
-    found, plain = optimize(study, threads=1), optimize(study, threads=1, skip=False)
+    found = optimize(study, threads=1)
+    plain = optimize(study, threads=1, skip=False)
     assert found.objective == plain.objective
     told, none = (placement_dict(study, one, one.evaluation)["skipped"] for one in (found, plain))
     assert none == {"rigs": none["rigs"], "full_evaluations": 0, "cuboids": 0, "segments": none["segments"]}

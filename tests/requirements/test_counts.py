@@ -20,14 +20,17 @@ MOUNTS = (
 
 def places(seed=4, count=60, far_m=25.0):
     rng = np.random.default_rng(seed)
-    far, angle = rng.uniform(3.2, far_m, count), rng.uniform(0, 2 * np.pi, count)
+    far = rng.uniform(3.2, far_m, count)
+    angle = rng.uniform(0, 2 * np.pi, count)
     return np.stack([far * np.cos(angle), far * np.sin(angle), 0 * far, rng.uniform(0, 6.28, count)], axis=1)
 
 
 @pytest.mark.parametrize(("lost", "sensors"), [(0, None), (1, None), (2, None), (0, 2), (1, 2), (2, 3)])
 @pytest.mark.parametrize("cap", [1, 7, 40, 5000])
 def test_capped_counts_are_exact_below_the_cap(lost, sensors, cap):
-    target, where, around = Target(box(0.4, 0.4, 1.1)), places(), obstacles(BODY)
+    target = Target(box(0.4, 0.4, 1.1))
+    where = places()
+    around = obstacles(BODY)
     whole = returns(where, target, scanners_of(MOUNTS), poses_of(MOUNTS), around)
     wanted = lost + (sensors or 1)
     found = reached(lowest_at(where, target, MOUNTS, around, cap, wanted).counts, lost, sensors)
@@ -39,7 +42,9 @@ def test_capped_counts_are_exact_below_the_cap(lost, sensors, cap):
 
 
 def test_only_sensors_that_moved_are_cast(monkeypatch):
-    target, where, around = Target(box(0.4, 0.4, 1.1)), places(), obstacles(BODY)
+    target = Target(box(0.4, 0.4, 1.1))
+    where = places()
+    around = obstacles(BODY)
     kept = KeptCounts(where, target, around)
     first = kept.lowest(MOUNTS, 1000, len(MOUNTS))
     moved = (mount("vlp-16", (1, 0.2, 1.8), (5, 3, 20)), *MOUNTS[1:])
@@ -61,7 +66,9 @@ def test_only_sensors_that_moved_are_cast(monkeypatch):
 
 
 def test_counts_that_requirements_share_are_those_of_each_alone():
-    target, where, around = Target(box(0.4, 0.4, 1.1)), places(), obstacles(BODY)
+    target = Target(box(0.4, 0.4, 1.1))
+    where = places()
+    around = obstacles(BODY)
     groups = where[:40], where[20:][::-1]
     every, numbers = united(groups)
     assert len(every) == len(where)

@@ -43,7 +43,8 @@ def test_nothing_is_seen_above_all_posts():
 
 def test_with_one_lost_of_two():
     posts = PostPlaces.around(BODY, 0.0, (0.0, 8.0))
-    alone, both = cones(-20.0), (*cones(-20.0), *cones(-12.0))
+    alone = cones(-20.0)
+    both = (*cones(-20.0), *cones(-12.0))
     one = post_visibility(posts, 0.5, alone, NO_OBSTACLES).seen
     other = post_visibility(posts, 0.5, cones(-12.0), NO_OBSTACLES).seen
     assert (post_visibility(posts, 0.5, both, NO_OBSTACLES).seen == (one | other)).all()

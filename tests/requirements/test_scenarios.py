@@ -157,7 +157,8 @@ def test_the_files_of_a_drive(files, target):
     run = found.worst.worst
     written = save_drive(run, mounts, item.vehicle, files / "drive")
     assert (written.detected_s, written.last_s) == (run.detected_s, run.last_s)
-    rig, scene = load_rig(written.rig), load_scene(written.scene)
+    rig = load_rig(written.rig)
+    scene = load_scene(written.scene)
     motion = Trajectory(np.eye(4), load_path(written.trajectory), START_NS)
     records = []
     streams = simulated_frames(

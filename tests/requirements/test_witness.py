@@ -17,7 +17,9 @@ def agreement(rigs, seed):
     """Of random rigs and numbers of lost sensors: verdicts that differ though the margin is clear; counts off by more
     than 1; rigs whose count is above 0."""
     rng = np.random.default_rng(seed)
-    differ, off, some = [], [], 0
+    differ = []
+    off = []
+    some = 0
     for number in range(rigs):
         lost = number % 2
         item = requirement(lost=lost, returns=int(rng.integers(5, 60)))
@@ -100,7 +102,8 @@ def test_a_fraction_of_places_is_by_the_base_grid():
     rig = random_rig(np.random.default_rng(7), 3)
     item = requirement(headings_deg=(0, 45), returns=30, at_least=0.8)
     judge = ObjectJudge(item, AROUND)
-    places, values = judge.places, judge.measured(rig, ALL).values
+    places = judge.places
+    values = judge.measured(rig, ALL).values
     worst = {}
     for place, value in zip(places.tolist(), values.tolist(), strict=True):
         worst[tuple(place[:2])] = min(value, worst.get(tuple(place[:2]), ALL))

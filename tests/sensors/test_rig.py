@@ -112,7 +112,8 @@ def test_a_model_is_read_once_however_many_sensors_have_it(tmp_path, monkeypatch
     ]
     names.append("{name: own, elevation_deg: [-5, 0, 5], position_m: [0, 0, 2]}")
     (tmp_path / "rig.yaml").write_text("name: r\nsensors:\n" + "".join(f"  - {one}\n" for one in names))
-    asked, load = [], rigs.load_sensor
+    asked = []
+    load = rigs.load_sensor
     monkeypatch.setattr(rigs, "load_sensor", lambda name, base: asked.append(name) or load(name, base))
     found = load_rig(tmp_path / "rig.yaml")
     assert sorted(asked) == ["fan.yaml", "vlp-16"]

@@ -31,7 +31,9 @@ from tests.returns_cases import at_place, box, lidars, mount, obstacles
 
 ELEVATION_DEG = 9.0, -12.0, 3.0, -4.0
 OFFSET_NS = 0, 20_000, 45_000, 90_000
-STEP_NS, STEPS, FRAME_NS = 200_000, 500, 100_000_000
+STEP_NS = 200_000
+STEPS = 500
+FRAME_NS = 100_000_000
 COLUMNS = "time_ns", "azimuth_deg", "elevation_deg", "channel"
 TARGET = Target(box(1.8, 0.6, 1.75))
 POSES = ((0.4, 0.1, 1.9), (3, 5, 170))
@@ -65,7 +67,8 @@ def turning(frames):
 
 def rosette(count, rng):
     """Firings of two channels anywhere in a cone ahead, and a little behind it."""
-    around, away = rng.uniform(0, 2 * np.pi, count), 35 * np.sqrt(rng.uniform(0, 1, count))
+    around = rng.uniform(0, 2 * np.pi, count)
+    away = 35 * np.sqrt(rng.uniform(0, 1, count))
     time_ns = np.sort(rng.integers(0, 3 * FRAME_NS, count))
     channel = np.arange(count) % 2
     return np.stack([time_ns, away * np.cos(around), away * np.sin(around), channel], axis=1)
@@ -292,7 +295,8 @@ def test_files_that_are_refused(tmp_path, values, what):
 
 
 def test_arrays_that_are_refused(tmp_path):
-    path, table = write(tmp_path, GOOD, suffix="npz"), tmp_path / "own.npz"
+    path = write(tmp_path, GOOD, suffix="npz")
+    table = tmp_path / "own.npz"
     columns = dict(np.load(table))
     for changed, what in (
         ({"channel": np.zeros(2)}, "own.npz: channel: has 2 values; time_ns has 3"),

@@ -20,7 +20,8 @@ def test_packet_period():
 
 @pytest.mark.parametrize("rpm", [300, 600, 1200])
 def test_times_and_azimuths_are_the_twins(rpm):
-    start, numbers = 1_700_000_000_000_000_123, range(5, 9)
+    start = 1_700_000_000_000_000_123
+    numbers = range(5, 9)
     fired = firings(VLP16, rpm, start, numbers)
     assert fired.time_ns.shape == (4, 24, 16)
     for p, number in enumerate(numbers):

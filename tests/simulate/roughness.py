@@ -19,14 +19,21 @@ from lidarcfg.packets.families import codec
 from lidarcfg.sensors.sensor import Sensor
 
 REVOLUTIONS = 4  # of a recording that are looked at, evenly spread
-PLANES, THICK_M, FEWEST = 12, 0.06, 300  # in a revolution; half of a plane's slab; points of a plane
+PLANES = 12
+THICK_M = 0.06
+FEWEST = 300  # in a revolution; half of a plane's slab; points of a plane
 NEAR_M = 1.5  # what is nearer is not looked at
-TRIES, TRIED = 500, 10_000  # of RANSAC, and the most points of which
-FLAT, SLANT, HEAD_ON = 0.1, 0.5, 0.7  # least cosines: of any plane; for noise, unless too few are; for constant errors
+TRIES = 500
+TRIED = 10_000  # of RANSAC, and the most points of which
+FLAT = 0.1
+SLANT = 0.5
+HEAD_ON = 0.7  # least cosines: of any plane; for noise, unless too few are; for constant errors
 ENOUGH = 200  # differences
-RUN, JUMP_M = 30, 0.2  # firings of one laser on a plane, at least; by which neighbours differ at most
+RUN = 30
+JUMP_M = 0.2  # firings of one laser on a plane, at least; by which neighbours differ at most
 DARK = 2  # intensities below are of dark targets
-CLIP, ROUNDS = 3.5, 5  # sigma beyond which differences are of edges, not of noise
+CLIP = 3.5
+ROUNDS = 5  # sigma beyond which differences are of edges, not of noise
 EDGE_M = 1.0  # by which neighbours across an edge differ: returns of a pair do, at least
 NAN = float("nan")
 
@@ -76,12 +83,14 @@ class Shots:
 
 def shots(sensor: Sensor, found: Measurements) -> Shots:
     """The firings of a sensor whose sequences are whole, as recorded."""
-    shape, laser = (-1, sensor.count), found.batch.firings.laser
+    shape = (-1, sensor.count)
+    laser = found.batch.firings.laser
     if len(laser) % sensor.count or (laser.reshape(shape) != np.arange(sensor.count)).any():
         raise ValueError(f"{sensor.name}: its lasers take turns; only sensors of which all fire in turn are measured")
     azimuth = found.batch.firings.encoder_rad.reshape(shape) + sensor.azimuth_offset_rad
     elevation = np.broadcast_to(sensor.elevation_rad, azimuth.shape)
-    left, up = np.broadcast_to(sensor.lateral_offset_m, azimuth.shape), sensor.vertical_offset_m
+    left = np.broadcast_to(sensor.lateral_offset_m, azimuth.shape)
+    up = sensor.vertical_offset_m
     origin = np.stack([left * np.sin(azimuth), left * np.cos(azimuth), np.broadcast_to(up, azimuth.shape)], axis=-1)
     returns = found.range_m.shape[1]
     range_m, intensity = (one.reshape(*shape, returns) for one in (found.range_m, found.reflectivity))
@@ -149,14 +158,21 @@ def residuals(some: Shots) -> Residuals:
     range_m = some.main_m
     shape = range_m.shape
     usable = np.flatnonzero((np.isfinite(range_m) & (range_m > NEAR_M)).ravel())
-    origin, direction = some.origin_m.reshape(-1, 3)[usable], some.direction.reshape(-1, 3)[usable]
+    origin = some.origin_m.reshape(-1, 3)[usable]
+    direction = some.direction.reshape(-1, 3)[usable]
     points = origin + range_m.ravel()[usable, None] * direction
-    off, plane, steep = np.full(range_m.size, np.nan), np.full(range_m.size, -1), np.zeros(range_m.size)
+    off = np.full(range_m.size, np.nan)
+    plane = np.full(range_m.size, -1)
+    steep = np.zeros(range_m.size)
     for number, (form, mine) in enumerate(planes(points)):
         cosine = direction[mine] @ form[:3]
-        mine, cosine = mine[abs(cosine) > FLAT], cosine[abs(cosine) > FLAT]
-        at, far = usable[mine], -(origin[mine] @ form[:3] + form[3])
-        off[at], plane[at], steep[at] = range_m.ravel()[at] - far / cosine, number, abs(cosine)
+        mine = mine[abs(cosine) > FLAT]
+        cosine = cosine[abs(cosine) > FLAT]
+        at = usable[mine]
+        far = -(origin[mine] @ form[:3] + form[3])
+        off[at] = range_m.ravel()[at] - far / cosine
+        plane[at] = number
+        steep[at] = abs(cosine)
     return Residuals(off.reshape(shape), plane.reshape(shape), steep.reshape(shape))
 
 
@@ -187,15 +203,22 @@ def sigma(differences: Array) -> float:
 
 def measure(all_shots: Shots) -> Figures:
     """All of them."""
-    steps, dark, light, errors, lost = [], [], [], [], []
+    steps = []
+    dark = []
+    light = []
+    errors = []
+    lost = []
     for which in all_shots.revolutions():
         some = Shots(*(value[which] for value in vars(all_shots).values()))
-        found, level = residuals(some), some.level
+        found = residuals(some)
+        level = some.level
         same = (found.plane[1:] == found.plane[:-1]) & (found.plane[1:] >= 0)
         with np.errstate(invalid="ignore"):
             near = same & (abs(np.diff(some.main_m, axis=0)) < JUMP_M)
-        step, is_dark = np.diff(found.range_m, axis=0), (level[1:] < DARK) & (level[:-1] < DARK)
-        is_light, cosine = (level[1:] >= DARK) & (level[:-1] >= DARK), np.minimum(found.cosine[1:], found.cosine[:-1])
+        step = np.diff(found.range_m, axis=0)
+        is_dark = (level[1:] < DARK) & (level[:-1] < DARK)
+        is_light = (level[1:] >= DARK) & (level[:-1] >= DARK)
+        cosine = np.minimum(found.cosine[1:], found.cosine[:-1])
         flat = near & ~bent(step, np.where(near, found.plane[1:], -1))
         steps.append((step[flat & is_light], cosine[flat & is_light]))
         dark.append((step[flat & is_dark], cosine[flat & is_dark]))
@@ -231,7 +254,9 @@ def _middles(errors: Array) -> Array:
 
 def _lost(range_m: Array, plane: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Of all firings between two neighbours on one plane at one distance, whether each has no return."""
-    before, here, after = slice(None, -2), slice(1, -1), slice(2, None)
+    before = slice(None, -2)
+    here = slice(1, -1)
+    after = slice(2, None)
     between = (plane[before] >= 0) & (plane[before] == plane[after])
     between[between] = abs(range_m[before][between] - range_m[after][between]) < JUMP_M
     return ~np.isfinite(range_m[here][between])
@@ -243,8 +268,10 @@ def _pairs(some: Shots) -> dict[str, float]:
         return {field.name: NAN for field in fields(Figures) if field.name in PAIRS}
     order = np.argsort(some.elevation_rad[0])
     first, last = some.range_m[:, order, 0], some.range_m[:, order, 1]
-    there, both = np.isfinite(first) | np.isfinite(last), np.isfinite(first) & np.isfinite(last)
-    two, one_m = both & (first != last), np.where(np.isfinite(last), last, np.where(there, first, NAN))
+    there = np.isfinite(first) | np.isfinite(last)
+    both = np.isfinite(first) & np.isfinite(last)
+    two = both & (first != last)
+    one_m = np.where(np.isfinite(last), last, np.where(there, first, NAN))
     edge = there & _firing_edges(one_m)
     laser_edge = there & _laser_edges(one_m, some.elevation_rad[0][order]) & ~edge
     found = (
@@ -273,7 +300,8 @@ def _laser_edges(range_m: Array, elevation_rad: Array) -> NDArray[np.bool_]:
 
     On a plane 1 / range = A cos(elevation) + B sin(elevation). Lasers are in the order of elevation.
     """
-    edge, near = np.zeros(range_m.shape, bool), 1 / range_m
+    edge = np.zeros(range_m.shape, bool)
+    near = 1 / range_m
     for back, ahead in ((-1, 1), (1, -1)):
         rows = np.arange(2, range_m.shape[1] - 2)
         a, b, c = (elevation_rad[rows + step] for step in (2 * back, back, ahead))

@@ -71,7 +71,8 @@ def truth(street, rig, index):
     origins, directions = rays(sensor, fired)
     tracer = Tracer(street, T_WORLD_VEHICLE[:3, 3])
     hits = tracer.cast(transform(T, origins.reshape(-1, 3)), directions.reshape(-1, 3) @ T[:3, :3].T)
-    range_m, reflectivity = hits.range_m, np.append(street.reflectivity, 0)[hits.object]
+    range_m = hits.range_m
+    reflectivity = np.append(street.reflectivity, 0)[hits.object]
     seen = (range_m >= 0.5) & (range_m <= 109.85)
     laser = np.broadcast_to(np.arange(16), fired.time_ns.shape).ravel()
     packet = np.arange(len(laser)) // 384
@@ -105,7 +106,9 @@ def test_every_return(street, second, index):
 def decoded_elsewhere(path):
     """Points, device times, intensities and rings by velodyne-decoder, which has no eye for sources."""
     config = vd.Config()
-    config.model, config.min_range, config.max_range = vd.Model.VLP16, 0, 200
+    config.model = vd.Model.VLP16
+    config.min_range = 0
+    config.max_range = 200
     scans = list(vd.read_pcap(str(path), config))
     points = np.concatenate([points for _, points in scans])
     times = np.concatenate([stamp.device + points[:, 4].astype(np.float64) for stamp, points in scans])
@@ -174,7 +177,8 @@ def test_cut_recording(tmp_path):
 def test_chunks_do_not_matter(second, tmp_path, chunk_packets):
     """Ours in any chunks: the same points, sensor by sensor."""
     write_datagrams(tmp_path / "a.pcap", datagrams_of(second)[:300])
-    once, often = decoded(tmp_path / "a.pcap"), decoded(tmp_path / "a.pcap", chunk_packets=chunk_packets)
+    once = decoded(tmp_path / "a.pcap")
+    often = decoded(tmp_path / "a.pcap", chunk_packets=chunk_packets)
     assert once.sensor_names == often.sensor_names
     for sensor in (0, 1):
         for key in FIELDS:
@@ -265,7 +269,8 @@ def test_datagrams(second):
     times = [d.time_ns for d in datagrams]
     assert times == sorted(times)
     for index in (0, 1):
-        host, start = f"192.168.1.{201 + index}", START_NS + index * PERIOD_NS // 2
+        host = f"192.168.1.{201 + index}"
+        start = START_NS + index * PERIOD_NS // 2
         data = [d for d in datagrams if (d.host, d.port) == (host, 2368)]
         position = [d for d in datagrams if (d.host, d.port) == (host, 8308)]
         assert len(data) == PACKETS
@@ -285,7 +290,8 @@ def test_datagrams(second):
 
 def test_over_the_hour(street, tmp_path):
     """Stamps start again at the hour; times do not."""
-    rig, hour_ns = Rig("one", (mount(),)), START_NS + 7 * 3600 * SECOND_NS
+    rig = Rig("one", (mount(),))
+    hour_ns = START_NS + 7 * 3600 * SECOND_NS
     start_ns = hour_ns - 51 * PERIOD_NS + 123
     write_pcap(tmp_path / "a.pcap", simulated_frames(rig, street, np.eye(4), 100 * PERIOD_NS, start_ns)[0])
     times = decoded(tmp_path / "a.pcap").time_ns
@@ -361,7 +367,8 @@ def test_what_does_not_fit_on_the_disk_is_refused_before_it_is_written(tmp_path,
 
 def test_the_last_seconds_of_a_pcap(street, tmp_path):
     """A capture may end with the pcap's last microsecond; one that would go on is refused before it is written."""
-    rig, duration_ns = tilted_rig(), 10 * PERIOD_NS
+    rig = tilted_rig()
+    duration_ns = 10 * PERIOD_NS
     last_ns = TIME_END_NS - duration_ns - PERIOD_NS // 2 - 501  # the second sensor starts half a packet later
     write_pcap(tmp_path / "a.pcap", in_time_order(simulated_frames(rig, street, np.eye(4), duration_ns, last_ns)))
     times = [datagram.time_ns for datagram in datagrams_of(tmp_path / "a.pcap")]

@@ -128,7 +128,8 @@ def test_the_noise_of_dark_targets_and_of_intensities():
         assert (found.reflectivity == found.reflectivity[:, :1]).all()
         if byte == 90:
             assert found.reflectivity[:, 0].std() == pytest.approx((9 + 1 / 12) ** 0.5, rel=0.02)
-    whole, parts = flat(64, 4, 50), [flat(16, 4, 50) for _ in range(4)]
+    whole = flat(64, 4, 50)
+    parts = [flat(16, 4, 50) for _ in range(4)]
     add_noise(whole, realism, 0, 0)
     for i, part in enumerate(parts):
         add_noise(part, realism, 0, 16 * i)
@@ -252,7 +253,8 @@ WIRE = {  # where returns begin in a packet; blocks, their bytes, and those befo
 def test_nothing_beyond_what_is_reported_is_on_the_wire(tmp_path, model):
     """Flat ground, from a few millimetres off to beyond every range; without the limits there would be more of it."""
     kind, begin, (blocks, size, head), (returns, width), unit_m = WIRE[model]
-    sensor, stage = load_sensor(model), scene(tmp_path, "ground: {reflectivity: 50}")
+    sensor = load_sensor(model)
+    stage = scene(tmp_path, "ground: {reflectivity: 50}")
     limitless = sensor.range.model_copy(update={"reported": ANY_RANGE})
     found = []
     for one in (sensor, sensor.model_copy(update={"range": limitless})):

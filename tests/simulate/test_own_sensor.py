@@ -25,7 +25,8 @@ from tests.command_line import lidarcfg
 from tests.refusals import refused
 
 SENSOR = {"name": "mine", "beams": {"elevation_deg": [-30, -10, -45, 5]}, "range": {"max_m": 50}}
-HEIGHT_M, START_NS = 2.0, 1_767_225_600 * 10**9
+HEIGHT_M = 2.0
+START_NS = 1_767_225_600 * 10**9
 
 
 def folder_with(tmp_path, sensor=None, **mount):
@@ -250,7 +251,8 @@ def test_the_room_for_points_is_said(tmp_path, monkeypatch):
     (folder / "scene.yaml").write_text(
         "name: box\nspheres: [{name: all, center_m: [1, 0, 2], radius_m: 9, reflectivity: 5}]\n"
     )
-    rig, scene = load_rig(folder / "rig.yaml"), load_scene(folder / "scene.yaml")
+    rig = load_rig(folder / "rig.yaml")
+    scene = load_scene(folder / "scene.yaml")
     drive = Drive(rig, scene, Trajectory(np.eye(4), load_path(None), START_NS), None, START_NS, 10**9 // 5)
     assert most_returns(drive) == pytest.approx(4 * 3600, rel=1e-4)
     for suffix, octets in (
@@ -280,7 +282,8 @@ def test_points_that_do_not_fit_on_the_disk_end_early(tmp_path, monkeypatch, fre
 def test_more_scans_than_memory_holds_are_refused_with_the_figure(tmp_path, monkeypatch):
     """By hand: 4 lasers, 1,800 firings of each in a revolution, and what may be traced ahead: in all no more than 2 s."""
     folder = folder_with(tmp_path)
-    rig, scene = load_rig(folder / "rig.yaml"), load_scene(folder / "scene.yaml")
+    rig = load_rig(folder / "rig.yaml")
+    scene = load_scene(folder / "scene.yaml")
     drive = Drive(rig, scene, Trajectory(np.eye(4), load_path(None), START_NS), None, START_NS, 2 * 10**9)
     needed = 60 * 4 * 1800 * 20
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 0.999 * needed)

@@ -51,7 +51,8 @@ def test_the_ground_truth_of_every_return(street, tmp_path, return_mode, realism
     cloud, truth = with_truth(tmp_path, rig, street)
     assert len(cloud.xyz) == len(truth["range_m"]) > 10_000
     for index, one in enumerate(rig.mounts):
-        mine, true = cloud.sensor == index, truth["sensor"] == index
+        mine = cloud.sensor == index
+        true = truth["sensor"] == index
         assert mine.sum() == true.sum()
         ring = one.sensor.ring[truth["laser"][true]]
         measured = truth["range_m"][true] + truth["noise_m"][true]

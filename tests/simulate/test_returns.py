@@ -43,7 +43,9 @@ def places(rng, count, size_m, far_m=30.0):
 def test_counts_are_the_simulators(size):
     """All families, at a random phase each, with the body in the way."""
     rng = np.random.default_rng(7)
-    where, target, total = places(rng, 8, size), Target(box(*size)), 0
+    where = places(rng, 8, size)
+    target = Target(box(*size))
+    total = 0
     sensors = compiled([scanner(one) for one in MOUNTS])
     found = returns(where, target, sensors, sensor_poses(lidars(MOUNTS)), obstacles(BODY))
     for p in range(len(where)):
@@ -60,7 +62,8 @@ def test_counts_are_the_simulators(size):
 def test_counts_are_those_of_plain_loops(model):
     one = replace(mount(model, (0.4, 0.1, 1.9), (3, 5, 170), 1200.0))
     short = replace(scanner(one), pattern=coarse(pattern(one)), range_m=(2.0, 9.0))
-    rng, target = np.random.default_rng(3), Target(box(1.8, 0.6, 1.75))
+    rng = np.random.default_rng(3)
+    target = Target(box(1.8, 0.6, 1.75))
     where = places(rng, 2, (1.8, 0.6), 10.0)
     found = returns(where, target, compiled([short], 2), sensor_poses(lidars([one])), obstacles(BODY))
     body = BODY[0][BODY[1]]
@@ -89,7 +92,8 @@ def test_an_upright_box_straight_ahead():
         compiled([replace(scanner(one), sensor=bare)], 1),
         sensor_poses(lidars([one])),
     )
-    step_deg, expected = 360 * 10 * 55_296e-9, 0
+    step_deg = 360 * 10 * 55_296e-9
+    expected = 0
     for laser, rise_deg in enumerate(bare.beams.elevation_deg):
         for cycle in range(1809):
             azimuth = math.radians(step_deg * (cycle + laser * 2.304 / 55.296))
@@ -120,7 +124,8 @@ def test_mean_over_phases_is_the_solid_angle():
 
 
 def test_a_field_of_view_and_ranges_end_what_returns():
-    target, where = Target(box(1.0, 1.0, 1.0)), np.array([[6.0, 0.0, 0.0, 0.3], [0.0, 6.0, 0.0, 0.3]])
+    target = Target(box(1.0, 1.0, 1.0))
+    where = np.array([[6.0, 0.0, 0.0, 0.3], [0.0, 6.0, 0.0, 0.3]])
     one = mount("vlp-16", (0.0, 0.0, 1.0), (0, 0, 0))
 
     def counts(changed):
@@ -136,7 +141,8 @@ def test_a_field_of_view_and_ranges_end_what_returns():
 
 
 def test_the_ground_of_the_surroundings_hides():
-    target, where = Target(box(1.0, 1.0, 1.0)), np.array([[6.0, 0.0, 0.0, 0.0]])
+    target = Target(box(1.0, 1.0, 1.0))
+    where = np.array([[6.0, 0.0, 0.0, 0.0]])
     one = mount("vlp-16", (0.0, 0.0, 2.0), (0, 0, 0))
     count = [
         returns(
@@ -150,7 +156,8 @@ def test_the_ground_of_the_surroundings_hides():
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.lists(st.integers(0, 6), min_size=4, max_size=4), min_size=1, max_size=4), st.integers(1, 12))
 def test_probability_is_that_of_all_combinations(counts, enough):
-    table, phases = np.array(counts, np.int32), np.array([4 if i % 3 else 1 for i in range(len(counts))], np.int64)
+    table = np.array(counts, np.int32)
+    phases = np.array([4 if i % 3 else 1 for i in range(len(counts))], np.int64)
     rows = [row[:count] for row, count in zip(counts, phases.tolist(), strict=True)]
     (found,) = core.returns.detection_probabilities(table[None], phases, enough)
     assert found == naive.probability(rows, enough)
@@ -158,9 +165,13 @@ def test_probability_is_that_of_all_combinations(counts, enough):
 
 def test_ending_early_changes_nothing():
     """Beside counts in full: the sum over places of the probability to go undetected; and no less once it ends early."""
-    rng, mounts = np.random.default_rng(5), MOUNTS[:3]
-    where, target, around = places(rng, 60, (0.5, 0.5)), Target(box(0.5, 0.5, 1.1)), obstacles(BODY)
-    scanners, at = compiled([scanner(one) for one in mounts]), sensor_poses(lidars(mounts))
+    rng = np.random.default_rng(5)
+    mounts = MOUNTS[:3]
+    where = places(rng, 60, (0.5, 0.5))
+    target = Target(box(0.5, 0.5, 1.1))
+    around = obstacles(BODY)
+    scanners = compiled([scanner(one) for one in mounts])
+    at = sensor_poses(lidars(mounts))
     found = returns(where, target, scanners, at, around)
     for enough in (1, 40, 200, 2000):
         missed = float(sum(1.0 - found.probability(enough)))
@@ -178,11 +189,16 @@ def test_ending_early_changes_nothing():
 @pytest.mark.parametrize("phases", [1, 2, 3, 4])
 def test_what_a_counter_keeps_changes_nothing(phases):
     """A search's trials, of which each moves one sensor or none, by some of the sensors, beside plain counts of each."""
-    rng, mounts = np.random.default_rng(8), MOUNTS[:4]
-    where, target, around = places(rng, 50, (0.5, 0.5), 20.0), Target(box(0.5, 0.5, 1.1)), obstacles(BODY)
-    scanners, at = compiled([scanner(one) for one in mounts], phases), sensor_poses(lidars(mounts))
+    rng = np.random.default_rng(8)
+    mounts = MOUNTS[:4]
+    where = places(rng, 50, (0.5, 0.5), 20.0)
+    target = Target(box(0.5, 0.5, 1.1))
+    around = obstacles(BODY)
+    scanners = compiled([scanner(one) for one in mounts], phases)
+    at = sensor_poses(lidars(mounts))
     counter = core.returns.ReturnCounter(scanners, target.shape, where, np.array([7, 7, 50]), around, 60)
-    poses, ended = [at], 0
+    poses = [at]
+    ended = 0
     for trial in range(40):
         source = poses[rng.integers(len(poses))]
         at = Poses(source.R.copy(), source.t.copy())
@@ -206,8 +222,11 @@ def test_what_a_counter_keeps_changes_nothing(phases):
 
 
 def test_threads_change_nothing():
-    rng, mounts = np.random.default_rng(6), MOUNTS[:2]
-    where, target = places(rng, 200, (0.5, 0.5)), Target(box(0.5, 0.5, 1.75))
-    sensors, at = compiled([scanner(one) for one in mounts]), sensor_poses(lidars(mounts))
+    rng = np.random.default_rng(6)
+    mounts = MOUNTS[:2]
+    where = places(rng, 200, (0.5, 0.5))
+    target = Target(box(0.5, 0.5, 1.75))
+    sensors = compiled([scanner(one) for one in mounts])
+    at = sensor_poses(lidars(mounts))
     one, many = (returns(where, target, sensors, at, obstacles(BODY), threads).counts for threads in (1, 5))
     assert np.array_equal(one, many)

@@ -58,12 +58,14 @@ def test_rays_are_where_poses_and_angles_say(tmp_path, motion, name):
     T_vehicle_sensor = pose((0.3, -1.0, 2.0), (0.2, 0.1, -0.4))
     for n in range(3000):
         k = firings.laser[n]
-        a, w = firings.encoder_rad[n] + sensor.azimuth_offset_rad[k], sensor.elevation_rad[k]
+        a = firings.encoder_rad[n] + sensor.azimuth_offset_rad[k]
+        w = sensor.elevation_rad[k]
         direction = np.array([math.cos(w) * math.cos(a), -math.cos(w) * math.sin(a), math.sin(w)])
         left = sensor.lateral_offset_m[k]
         origin = np.array([left * math.sin(a), left * math.cos(a), sensor.vertical_offset_m[k]])
         T = trajectory.pose(int(firings.time_ns[n])) @ T_vehicle_sensor
-        start, ray = T[:3, :3] @ origin + T[:3, 3], T[:3, :3] @ direction
+        start = T[:3, :3] @ origin + T[:3, 3]
+        ray = T[:3, :3] @ direction
         assert echoes.range_m[n, 0] == pytest.approx(
             naive.box(start, ray, (1_000_003, -2, 1), (90, 70, 30), math.radians(10)), abs=2e-8
         )  # a coordinate of 1e6 m rounds to 1e-10 m

@@ -71,9 +71,13 @@ def rays_of(records, rig, trajectory):
     """(N, 6) origin and direction in the world, by poses and angles; VLP-16 at 600 rpm turn a circle in 0.1 s."""
     out = []
     for record in records:
-        number, laser, time_ns = int(record["sensor"]), int(record["laser"]), int(record["time_ns"])
-        one, first_ns = rig.mounts[number], START_NS + number * PERIOD_NS // len(rig.mounts)
-        turned, w = 2 * np.pi * (time_ns - first_ns) / 1e8, one.sensor.elevation_rad[laser]
+        number = int(record["sensor"])
+        laser = int(record["laser"])
+        time_ns = int(record["time_ns"])
+        one = rig.mounts[number]
+        first_ns = START_NS + number * PERIOD_NS // len(rig.mounts)
+        turned = 2 * np.pi * (time_ns - first_ns) / 1e8
+        w = one.sensor.elevation_rad[laser]
         direction = np.array([np.cos(w) * np.cos(turned), -np.cos(w) * np.sin(turned), np.sin(w)])
         T = trajectory.pose(time_ns) @ one.T_vehicle_sensor
         origin = transform(T, np.array([[0, 0, one.sensor.vertical_offset_m[laser]]]))[0]
@@ -84,7 +88,8 @@ def rays_of(records, rig, trajectory):
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_returns_of_the_body_are_where_open3d_casts_them(tmp_path, sedan, motion):
     """Of 200 records, ray by ray with the body at that ray's time: object and range of those on the body."""
-    world, trajectory = scene(tmp_path, WORLD), Trajectory(T_WORLD_START, build_path(MOTIONS[motion]), START_NS)
+    world = scene(tmp_path, WORLD)
+    trajectory = Trajectory(T_WORLD_START, build_path(MOTIONS[motion]), START_NS)
     names = object_names(world, sedan)
     assert names == ("ground", "house", "ball", "vehicle/body")
     records = truth(RIG, world, trajectory, 2 * 10**8, sedan)
@@ -103,7 +108,8 @@ def test_returns_of_the_body_are_where_open3d_casts_them(tmp_path, sedan, motion
 
 def test_the_body_only_takes_returns_away_or_puts_its_own_in_their_place(tmp_path, sedan):
     """What is seen with the body is, firing by firing, what is seen without it, or the body, nearer than that."""
-    world, trajectory = scene(tmp_path, WORLD), Trajectory(T_WORLD_START, build_path(MOTIONS["arc"]), START_NS)
+    world = scene(tmp_path, WORLD)
+    trajectory = Trajectory(T_WORLD_START, build_path(MOTIONS["arc"]), START_NS)
     firing = ["sensor", "time_ns", "laser"]
     without, seen = (truth(RIG, world, trajectory, 10**8, body) for body in (None, sedan))
     before = {tuple(row[firing]): row for row in without}
@@ -136,7 +142,8 @@ def test_the_bytes_without_a_body_stay_the_same(tmp_path, sedan):
 
 def test_wide_beams_return_from_the_body_and_from_behind_it(tmp_path, sedan):
     """Mixed beams at its edges: the same objects as thin ones nearly everywhere, and the body's cosine in the power."""
-    world, trajectory = scene(tmp_path, WORLD), Trajectory(T_WORLD_START, build_path(STATIC), START_NS)
+    world = scene(tmp_path, WORLD)
+    trajectory = Trajectory(T_WORLD_START, build_path(STATIC), START_NS)
     wide = replace(RIG, mounts=tuple(replace(one, realism=Realism(divergence=True)) for one in RIG.mounts))
     thin, found = (truth(rig, world, trajectory, 10**8, sedan) for rig in (RIG, wide))
     own = thin["object"] == 3

@@ -92,7 +92,8 @@ def drag(driver, at, axis, by_m):
         "const h = lidarcfg.handles.controls; let x; h.getHelper().traverse((o) => { if (o.name === 'Z' && o.isMesh && !x) x = o });"
         "return x.getWorldScale(h.worldPosition.clone()).x"
     )
-    size, along = driver.execute_script(code), np.eye(3)[axis]
+    size = driver.execute_script(code)
+    along = np.eye(3)[axis]
     canvas = driver.find_element("id", "canvas")
     tip, end = (np.array(on_screen(driver, at + far * along)) for far in (0.45 * size, 0.45 * size + by_m))
     action = ActionChains(driver, duration=100).move_to_element_with_offset(canvas, *tip.tolist()).click_and_hold()

@@ -17,7 +17,9 @@ from tests.capture_fixtures import no_warning
 from tests.command_line import lidarcfg
 from tests.viewer.driver import click, different, in_browser, on_screen, opened, picture, put, serving, settled
 
-SPEED, RATE_DEG, AT = 12.0, 40.0, (1.0, 2.0, 20.0)
+SPEED = 12.0
+RATE_DEG = 40.0
+AT = (1.0, 2.0, 20.0)
 VAN = {"name": "van", "center_m": [16, 3, 1.5], "size_m": [5, 2, 3], "reflectivity": 60}
 SCENE = {
     "name": "yard",
@@ -133,7 +135,8 @@ def test_parts_of_a_scene_make_the_whole(contents):
     """At time 0 they are the scene's own mesh; later each is moved as one."""
     (scene,) = contents.scenes
     assert [bool(part.path) for part in parts(scene)] == [False, True, True]
-    now, later = mesh_at(scene, 0)[0], mesh_at(scene, 500_000_000)[0]
+    now = mesh_at(scene, 0)[0]
+    later = mesh_at(scene, 500_000_000)[0]
     whole = scene.mesh()[0]
     assert np.sort(now, axis=0) == pytest.approx(np.sort(whole, axis=0))
     shift = np.unique(np.round(later - now, 9), axis=0)

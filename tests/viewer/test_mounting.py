@@ -17,7 +17,9 @@ from tests.naive import surfaces as naive
 from tests.viewer.driver import asked, click, drag, in_browser, opened, poses_of, put, serving, settled, shown_vsr, told
 
 ROOT = Path(__file__).parents[2]
-STANDOFF_M, RADIUS_M, STEP_M = 0.1, 0.103 / 2, 0.01
+STANDOFF_M = 0.1
+RADIUS_M = 0.103 / 2
+STEP_M = 0.01
 ROOF = [-1.1, -0.65, 1.3], [0.2, 0.65, 1.6]
 FENDER = [1.65, 0.7, 0.4], [2.15, 1.0, 0.75]
 STUDY = f"""
@@ -77,9 +79,11 @@ def sits(contents, poses, number):
 
 def test_moves_stay_on_the_surface(contents):
     """Anywhere: within, over the edge, far away, tilted; and a rig whose sensor floats is put back."""
-    study, start = contents.study, poses_of(contents.rigs[0])
+    study = contents.study
+    start = poses_of(contents.rigs[0])
     assert surface_mounts(study, contents.rigs[0]) == [1, 2, 3]
-    rng, poses = np.random.default_rng(1), start
+    rng = np.random.default_rng(1)
+    poses = start
     for trial in range(12):
         number = 1 + trial % 3
         wanted = poses[number] + rng.normal(0, (0.3, 0.3, 0.3, 0.3, 0.3, 1.0)) * (1 + 9 * (trial >= 9))

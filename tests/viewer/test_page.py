@@ -45,7 +45,8 @@ from tests.viewer.driver import (
 )
 
 ROOT = Path(__file__).parents[2]
-STUDY, ROOF = ROOT / "data/studies/sedan.yaml", ROOT / "data/rigs/roof.yaml"
+STUDY = ROOT / "data/studies/sedan.yaml"
+ROOF = ROOT / "data/rigs/roof.yaml"
 THREE = "5435a9cdb8214b51fd9d402f7f227ba5f712559b8a4347275e4fa18503f0f10c"  # of vendor/three.js, by tools/bundle_three
 
 
@@ -56,7 +57,8 @@ def contents():
     count = 30_000
     xyz = rng.uniform((-12, -8, 0), (12, 8, 0), (count, 3))
     wall = np.arange(count) % 2 == 0
-    xyz[wall, 1], xyz[wall, 2] = 8.0, rng.uniform(0, 3, wall.sum())
+    xyz[wall, 1] = 8.0
+    xyz[wall, 2] = rng.uniform(0, 3, wall.sum())
     cloud = PointCloud(
         xyz=xyz,
         intensity=rng.integers(0, 200, count).astype(np.uint8),
@@ -306,7 +308,8 @@ def test_poses_can_be_typed_and_the_rig_saved(chromium, served, contents):
     rig = with_poses(contents.rigs[0], poses)
     assert shown_vsr(chromium) == evaluate(contents.study, rig).max_vsr_m
     click(chromium, "#download")
-    path, end = chromium.downloads / "rig.yaml", time.monotonic() + 30
+    path = chromium.downloads / "rig.yaml"
+    end = time.monotonic() + 30
     while not path.exists():
         assert time.monotonic() < end
         time.sleep(0.05)
@@ -378,7 +381,8 @@ def test_a_cloud_far_away_is_not_blurred(chromium, tmp_path):
 def test_the_server_answers_what_evaluate_does(served, contents):
     poses = np.array([(*m.position_m, *m.rpy_rad) for m in contents.rigs[0].mounts]) + 0.01
     status, text = asked(served, "POST", "/evaluate", json.dumps({"poses": poses.tolist(), "worst": 2}))
-    found, said = evaluate(contents.study, with_poses(contents.rigs[0], poses)), json.loads(text)
+    found = evaluate(contents.study, with_poses(contents.rigs[0], poses))
+    said = json.loads(text)
     assert (status, said["max_vsr_m"], said["subspaces"]) == (200, found.max_vsr_m, len(found.subspaces))
     assert [body["vsr_m"] for body in said["worst"]] == [worst.vsr_m for worst in found.worst[:2]]
     mesh = said["worst"][0]["mesh"]
@@ -422,7 +426,8 @@ def test_violations_of_a_moved_rig(served, contents):
 
     assert violations(study, rig) == []
     poses = np.array([(*m.position_m, *m.rpy_rad) for m in rig.mounts])
-    poses[0, 2], poses[2, 3] = 2.5, np.radians(-30)
+    poses[0, 2] = 2.5
+    poses[2, 3] = np.radians(-30)
     poses[1, 3:] += (np.pi, np.pi - 2 * poses[1, 4], np.pi)  # the same angles, said the other way
     assert violations(study, with_poses(rig, poses)) == [
         "roof_0: z 2.500 m is outside 1.65 to 1.9 m",
@@ -552,8 +557,10 @@ def cab(tmp_path):
 @in_browser
 def test_a_body_may_be_switched_transparent(chromium, cab, tmp_path):
     """Max VSR with and without what has_obstacles, and the blind volume, are evaluate's; where bases may be; served, and in a file."""
-    study, rig = cab.study, cab.rigs[0]
-    with_body, without = evaluate(study, rig), evaluate(replace(study, visibility=None), rig)
+    study = cab.study
+    rig = cab.rigs[0]
+    with_body = evaluate(study, rig)
+    without = evaluate(replace(study, visibility=None), rig)
     assert with_body.max_vsr_m != without.max_vsr_m
 
     def shown():

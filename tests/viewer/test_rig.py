@@ -76,7 +76,9 @@ def test_only_numbers_change(tmp_path):
     """Bit for bit; comments, order and layout stay: three lines of the text differ, in their numbers."""
     found, rig = source(tmp_path / "rig.yaml", RIG)
     poses = poses_of(rig)
-    poses[0, 1], poses[0, 3], poses[1, 2] = 1.4321, np.radians(12.5), 1 / 3
+    poses[0, 1] = 1.4321
+    poses[0, 3] = np.radians(12.5)
+    poses[1, 2] = 1 / 3
     after = found.save(poses)
     assert (poses_of(load_rig(after.path)) == poses).all()
     lines = [line for line in difflib.ndiff(RIG.splitlines(), after.path.read_text().splitlines()) if line[0] in "+-"]
@@ -225,7 +227,8 @@ def test_a_moved_pair_is_undone_and_saved(chromium, sides):
         settled(chromium)
         now = with_poses(sides.rigs[0], np.array(chromium.execute_script(poses)))
         found = evaluate(study, now)
-        child, post = found.detection["child"], found.detection["post"]
+        child = found.detection["child"]
+        post = found.detection["post"]
         assert shown_vsr(chromium) == found.max_vsr_m
         shown = [text.split("\t") for text in chromium.execute_script(rates)]
         assert [name for name, _ in shown] == ["child", "post"]

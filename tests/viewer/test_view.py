@@ -38,7 +38,8 @@ from tests.capture_fixtures import AT_NS, STREET, no_warning, recording, scene, 
 from tests.placement.test_requirements_search import CHOICE
 
 STILLS = Path(__file__).parent / "stills"
-STUDY, ROOF = STREET.parent.parent / "studies/sedan.yaml", STREET.parent.parent / "rigs/roof.yaml"
+STUDY = STREET.parent.parent / "studies/sedan.yaml"
+ROOF = STREET.parent.parent / "rigs/roof.yaml"
 
 
 def cloud(xyz, names=("a", "b")):
@@ -70,7 +71,8 @@ def test_both_sensors_colours_are_in_the_picture(tmp_path):
     save_still(contents(rng.uniform((-20, -10, 0), (20, 10, 3), (20_000, 3))), tmp_path / "p.png")
     image = drawn(tmp_path / "p.png")
     assert image.shape == (1080, 1920, 3)
-    blue, orange = ((image[..., 2] > image[..., 0] + 60).sum(), (image[..., 0] > image[..., 2] + 60).sum())
+    blue = (image[..., 2] > image[..., 0] + 60).sum()
+    orange = (image[..., 0] > image[..., 2] + 60).sum()
     assert blue > 10_000
     assert orange > 10_000
     assert (image == BACKGROUND).all(axis=-1).sum() > 100_000
@@ -200,7 +202,8 @@ def test_objects_of_a_capture_are_the_ones_that_its_points_lie_on(tmp_path, mode
     """Of each decoded point the truth's object, against the distance of the point to each object's surface."""
     text = "ground: {reflectivity: 20}\nboxes: [{name: wall, center_m: [0, -9, 2], size_m: [30, 1, 4], reflectivity: 40}]\n"
     text += "spheres: [{name: ball, center_m: [6, -3, 1.5], radius_m: 1.5, reflectivity: 60}]"
-    seen, tilted = scene(tmp_path, text), tilted_rig()
+    seen = scene(tmp_path, text)
+    tilted = tilted_rig()
     rig = replace(tilted, mounts=tuple(replace(mount, return_mode=mode) for mount in tilted.mounts))
     with TruthFile(tmp_path / "t.npz", [m.name for m in rig.mounts], seen.names) as truth:
         streams = simulated_frames(rig, seen, Trajectory.static(np.eye(4)), 30_000_000, AT_NS, truth.add)
@@ -209,7 +212,8 @@ def test_objects_of_a_capture_are_the_ones_that_its_points_lie_on(tmp_path, mode
     paths = [tmp_path / "t.pcap", tmp_path / "t.npz"]
     (tmp_path / "rig.yaml").write_text(rig_text(rig))
     staged = load_contents(paths, tmp_path / "rig.yaml", None, np.eye(4), no_warning)
-    xyz, names = staged.cloud.xyz, np.array(staged.objects.names)[staged.objects.index]
+    xyz = staged.cloud.xyz
+    names = np.array(staged.objects.names)[staged.objects.index]
     away = {
         "ground": abs(xyz[:, 2]),
         "wall": np.linalg.norm(np.maximum(abs(xyz - (0, -9, 2)) - (15, 0.5, 2), 0), axis=1),
@@ -356,7 +360,8 @@ def test_stills_are_as_they_were(tmp_path, name):
     """Compared with tests/stills, drawn once and looked at; fonts may differ a little from one machine to another."""
     rng = np.random.default_rng(3)
     xyz = rng.uniform((-12, -8, 0), (12, 8, 0), (6000, 3))
-    xyz[::2, 1], xyz[::2, 2] = 8.0, rng.uniform(0, 3, 3000)
+    xyz[::2, 1] = 8.0
+    xyz[::2, 2] = rng.uniform(0, 3, 3000)
     seen = replace(cloud(xyz, ("left", "right")), intensity=(np.arange(6000) % 100).astype(np.uint8))
     staged = Contents(seen, None, (load_rig(ROOF),), load_study(STUDY), (load_scene(STREET),), np.eye(4))
     how = {
@@ -365,7 +370,8 @@ def test_stills_are_as_they_were(tmp_path, name):
         "down": {"camera": Camera(np.array([0.0, 0, 25]), np.zeros(3), 80.0), "by": "intensity", "worst": 0},
     }[name]
     save_still(staged, tmp_path / "p.png", (480, 270), **how)
-    ours, stored = drawn(tmp_path / "p.png"), drawn(STILLS / f"{name}.png")
+    ours = drawn(tmp_path / "p.png")
+    stored = drawn(STILLS / f"{name}.png")
     assert ours.shape == stored.shape == (270, 480, 3)
     assert (abs(ours - stored).max(axis=-1) > 24).mean() < 0.02
     shifted = np.roll(stored, 3, axis=1)  # the tolerance would not let this pass

@@ -9,7 +9,8 @@ import pytest
 from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.world.geodesy import GeoOrigin, geographic
 
-A_M, FLATTENING = mpmath.mpf(6378137), 1 / mpmath.mpf("298.257223563")  # WGS 84: NIMA TR8350.2
+A_M = mpmath.mpf(6378137)
+FLATTENING = 1 / mpmath.mpf("298.257223563")  # WGS 84: NIMA TR8350.2
 E2 = FLATTENING * (2 - FLATTENING)
 
 
@@ -29,7 +30,8 @@ def by_mpmath(latitude_deg, longitude_deg, xyz_m):
     for step_m, direction in zip(xyz_m, (east, north, up), strict=True):
         place += mpmath.mpf(step_m) * direction
     x, y, z = place
-    away_m, found = mpmath.hypot(x, y), mpmath.mpf(0)
+    away_m = mpmath.hypot(x, y)
+    found = mpmath.mpf(0)
     for _ in range(40):
         found = mpmath.atan2(z + E2 * A_M * sin(found) / mpmath.sqrt(1 - E2 * sin(found) ** 2), away_m)
     return found, mpmath.atan2(y, x)

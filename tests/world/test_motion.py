@@ -30,7 +30,9 @@ def drive(motion, T_world_start=STAND, zero_ns=START_NS):
 @pytest.mark.parametrize("rate", [30.0, -200.0, 1e-9, 0.0])
 def test_an_arc_is_what_small_steps_add_up_to(rate):
     trajectory = build_path(Motion(arc=Arc(speed_m_s=7, yaw_rate_deg_s=rate, heading_deg=20)))
-    x, y, steps = 0.0, 0.0, 20_000
+    x = 0.0
+    y = 0.0
+    steps = 20_000
     for n in range(steps):  # midpoint rule over two seconds
         heading = np.radians(20 + rate * (n + 0.5) * 2 / steps)
         x, y = x + 7 * np.cos(heading) * 2 / steps, y + 7 * np.sin(heading) * 2 / steps
@@ -231,7 +233,8 @@ def test_a_trajectory_through_arrays_of_poses_is_that_of_their_keys():
         TimedPose(time_s=t, position_m=at, rpy_deg=tuple(np.degrees(rpy)))
         for t, (at, rpy) in zip(seconds, keys, strict=True)
     )
-    made, known = Trajectory.from_poses(seconds, T, 10**9), build_path(Motion(poses=poses))
+    made = Trajectory.from_poses(seconds, T, 10**9)
+    known = build_path(Motion(poses=poses))
     asked = np.linspace(-0.5, 2.0, 31)
     for one, other in zip(made.path.at(asked), known.at(asked), strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
@@ -259,7 +262,8 @@ def test_a_path_of_timed_lines_is_that_of_their_poses(tmp_path):
             TimedPose(time_s=row[0], position_m=row[1:4], quaternion_xyzw=row[4:])
             for row in (tuple(map(float, line.split())) for line in text.splitlines() if line and line[0] != "#")
         ]
-        at_once, singly = load_path(tmp_path / "a.tum"), build_path(Motion(poses=tuple(poses)))
+        at_once = load_path(tmp_path / "a.tum")
+        singly = build_path(Motion(poses=tuple(poses)))
         for name in ("times_s", "positions_m", "rotations", "rotation_vectors_rad"):
             assert np.array_equal(getattr(at_once, name), getattr(singly, name)), name
         seconds = np.linspace(0, 19.9, 77)

@@ -45,7 +45,8 @@ def rays(rng, count, around, spread):
 def test_a_rough_field_is_what_its_definition_says(tmp_path):
     """Rows run from the north, the last row's first height stands at the position; found half cell by half cell."""
     rng = np.random.default_rng(4)
-    heights, place = rng.normal(0, 0.6, (7, 9)), np.array([100.0, -50.0, 2.0])
+    heights = rng.normal(0, 0.6, (7, 9))
+    place = np.array([100.0, -50.0, 2.0])
     land = field(tmp_path, saved(tmp_path, heights), 0.5, place)
     origins, way = rays(rng, 300, (-0.5, 4), 0.4)
     found = Tracer(land, place).cast(origins + place, way)
@@ -319,7 +320,8 @@ def test_a_plane_of_surfels_is_the_plane(tmp_path):
     points = grid @ np.stack([u, np.cross(normal, u)]) + (500_000, 4_000_000, 30)
     ply(tmp_path / "a.ply", points)
     stage = scene(tmp_path, SURFELS.format("a.ply", 0.08))
-    rng, centre = np.random.default_rng(3), points.mean(axis=0)
+    rng = np.random.default_rng(3)
+    centre = points.mean(axis=0)
     aims = rng.uniform(-1.8, 1.8, (1000, 2)) @ np.stack([u, np.cross(normal, u)])
     origins = 5 * normal + rng.normal(0, 1, (1000, 3))
     way = (aims - origins) / np.linalg.norm(aims - origins, axis=1, keepdims=True)
@@ -331,7 +333,8 @@ def test_a_plane_of_surfels_is_the_plane(tmp_path):
 def test_surfels_are_within_a_tenth_of_discs(tmp_path):
     """Hexagons of a disc's area: what hits the disc within lies in one of them, what misses the one around hits none."""
     rng = np.random.default_rng(6)
-    points, normals = rng.uniform(-2, 2, (60, 3)), rng.normal(size=(60, 3))
+    points = rng.uniform(-2, 2, (60, 3))
+    normals = rng.normal(size=(60, 3))
     ply(tmp_path / "a.ply", points, normals * 7)
     stage = scene(tmp_path, SURFELS.format("a.ply", 0.4))
     triangles = stage.vertices_m[stage.triangles]
@@ -412,7 +415,8 @@ def test_surfels_that_are_refused(tmp_path, name, radius, message):
 @pytest.mark.parametrize("suffix", ["png", "npy", "glb", "ply", "pcd", "npz", "las", "laz"])
 def test_damaged_files_are_used_or_refused_in_one_line(tmp_path, suffix):
     """Cut off, or with octets changed, most of them in the header; a warning of a library would be an error here."""
-    made, whole = cloud(30), tmp_path / f"whole.{suffix}"
+    made = cloud(30)
+    whole = tmp_path / f"whole.{suffix}"
     rng = np.random.default_rng(list(suffix.encode()))
     if suffix == "glb":
         glb(whole, NODES, primitives=((0,), (1,)))

@@ -59,7 +59,8 @@ def test_first_hits_are_open3ds():
     rng = np.random.default_rng(2)
     away = np.array([1000.0, -2000, 0])  # where float32 has steps of a tenth of a millimetre
     vertices, triangles = soup(rng, 5000, 0.1)
-    vertices, origins = vertices + away, rng.uniform(-8, 8, (100_000, 3)) + away
+    vertices = vertices + away
+    origins = rng.uniform(-8, 8, (100_000, 3)) + away
     way = unit(rng.normal(size=(100_000, 3)))
     theirs = ray_cases.open3d_scene(vertices, triangles)
     found = ray_cases.differences(of_mesh(vertices, triangles), theirs, origins, way)
@@ -80,7 +81,8 @@ AIMED = [
 @pytest.mark.parametrize(("name", "place"), AIMED)
 def test_rays_at_vertices_and_edges_do_not_slip_through(tmp_path, name, place):
     large = name == "large sphere"  # finer in tools/stress.py
-    rng, body = np.random.default_rng(4), ray_cases.body_at(tmp_path, name, place, 0.01 if large else 0.001)
+    rng = np.random.default_rng(4)
+    body = ray_cases.body_at(tmp_path, name, place, 0.01 if large else 0.001)
     for inside in (True, False):
         aimed = ray_cases.aimed(body, inside, rng, 100 if large else 1000)
         assert len(aimed.way) > 50
@@ -118,8 +120,10 @@ def test_a_packet_does_not_change_its_rays():
 def test_a_limit_only_drops_what_is_beyond():
     rng = np.random.default_rng(8)
     tracer = of_mesh(*soup(rng, 5000, 0.2))
-    origins, way = rng.uniform(-5, 5, (5000, 3)), unit(rng.normal(size=(5000, 3)))
-    free, limited = tracer.cast(origins, way), tracer.cast(origins, way, limit_m=2.0)
+    origins = rng.uniform(-5, 5, (5000, 3))
+    way = unit(rng.normal(size=(5000, 3)))
+    free = tracer.cast(origins, way)
+    limited = tracer.cast(origins, way, limit_m=2.0)
     near = free.range_m < 2
     assert near.any()
     assert np.array_equal(limited.range_m, np.where(near, free.range_m, np.inf))
@@ -147,8 +151,11 @@ def test_rays_along_axes(tmp_path):
     for axis in range(2):
         for sign in (1.0, -1.0):
             across = np.linspace(-3, 3, 601)
-            origins, way = np.zeros((601, 3)), np.zeros((601, 3))
-            origins[:, axis], origins[:, 1 - axis], way[:, axis] = -10 * sign, across, sign
+            origins = np.zeros((601, 3))
+            way = np.zeros((601, 3))
+            origins[:, axis] = -10 * sign
+            origins[:, 1 - axis] = across
+            way[:, axis] = sign
             range_m = tracer.cast(origins, way).range_m
             beside = abs(across - 2 * np.rint(across / 2))  # from the middle of the nearest row of boxes
             assert (range_m[beside < 0.5 - 1e-9] == 7.5).all()
@@ -222,7 +229,8 @@ spheres: [{name: c, center_m: [-9, 0, 1], radius_m: 2, reflectivity: 9, motion: 
 """
     tracer = Tracer(scene(tmp_path, text), HERE)
     rng = np.random.default_rng(10)
-    way, time_ns = unit(rng.normal(size=(3000, 3)) * (1, 1, 0.1)), rng.integers(0, 2 * 10**9, 3000)
+    way = unit(rng.normal(size=(3000, 3)) * (1, 1, 0.1))
+    time_ns = rng.integers(0, 2 * 10**9, 3000)
     hits = tracer.cast(np.zeros((3000, 3)), way, time_ns)
     assert len(set(hits.object.tolist())) == 4
     for ray, t, range_m, which in zip(way, time_ns / 1e9, hits.range_m, hits.object, strict=True):
@@ -240,13 +248,15 @@ spheres: [{name: c, center_m: [-9, 0, 1], radius_m: 2, reflectivity: 9, motion: 
 def test_two_thousand_moving_boxes(tmp_path):
     """Each at its place, whichever is near: against the few that a ray could hit."""
     rng = np.random.default_rng(11)
-    place, speed = rng.uniform(-80, 80, (2000, 2)), rng.uniform(-20, 20, (2000, 2))
+    place = rng.uniform(-80, 80, (2000, 2))
+    speed = rng.uniform(-20, 20, (2000, 2))
     boxes = "\n".join(
         f"  - {{name: b{i}, center_m: [{x}, {y}, 0], size_m: [1, 1, 2], reflectivity: 9, motion: {{velocity_m_s: [{u}, {v}, 0]}}}}"
         for i, ((x, y), (u, v)) in enumerate(zip(place.tolist(), speed.tolist(), strict=True))
     )
     tracer = Tracer(scene(tmp_path, "boxes:\n" + boxes), HERE)
-    azimuth, time_ns = np.linspace(0, 2 * np.pi, 300), np.linspace(0, 10**8, 300).astype(np.int64)
+    azimuth = np.linspace(0, 2 * np.pi, 300)
+    time_ns = np.linspace(0, 10**8, 300).astype(np.int64)
     way = directions(azimuth, np.zeros(300))
     hits = tracer.cast(np.zeros((300, 3)), way, time_ns)
     for n in range(0, 300, 5):
@@ -262,7 +272,8 @@ def test_a_dynamic_object_is_needed_only_within_its_poses(tmp_path):
         tmp_path,
         f"spheres: [{{name: s, center_m: [9, 0, 0], radius_m: 1, reflectivity: 9, motion: {{poses: [{text}]}}}}]",
     )
-    tracer, way = Tracer(stage, HERE), np.array([[1.0, 0, 0]])
+    tracer = Tracer(stage, HERE)
+    way = np.array([[1.0, 0, 0]])
     assert tracer.cast(np.zeros((1, 3)), way, np.array([10**9])).range_m == pytest.approx([9])
     with pytest.raises(ConfigError, match=r"s: a pose is needed at 1.5 to 1.5 s; the timed poses cover 0 to 1 s"):
         tracer.cast(np.zeros((1, 3)), way, np.array([1_500_000_000]))
@@ -308,7 +319,8 @@ def test_a_rotated_scene_has_rotated_hits():
     """Any rotation of mesh and rays together leaves the ranges, to rounding."""
     rng = np.random.default_rng(13)
     vertices, triangles = soup(rng, 500, 1.0)
-    origins, way = rng.uniform(-5, 5, (2000, 3)), unit(rng.normal(size=(2000, 3)))
+    origins = rng.uniform(-5, 5, (2000, 3))
+    way = unit(rng.normal(size=(2000, 3)))
     straight = of_mesh(vertices, triangles).cast(origins, way)
     R = rotation((0.3, -0.8, 2.0))
     turned = of_mesh(vertices @ R.T, triangles).cast(origins @ R.T, way @ R.T)

@@ -71,7 +71,8 @@ def vehicle_text(mesh, extra=""):
 @pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "off", "glb", "gltf"])
 def test_a_saloon_in_any_format_is_the_same_closed_body(tmp_path, suffix):
     """STL knows no shared vertices; what is inside is told the same of all, and as Open3D tells it."""
-    path, body = tmp_path / f"body.{suffix}", o3d.io.read_triangle_mesh(SEDAN)
+    path = tmp_path / f"body.{suffix}"
+    body = o3d.io.read_triangle_mesh(SEDAN)
     if suffix == "glb":  # Open3D's own are refused by its reader
         write_glb(path, [{"mesh": 0}], [0], np.asarray(body.vertices), np.asarray(body.triangles))
     else:
@@ -80,7 +81,9 @@ def test_a_saloon_in_any_format_is_the_same_closed_body(tmp_path, suffix):
     assert found.warnings == ()
     assert list(found.closed) == ["body"]
     assert len(found.scene.triangles) == 5922
-    x, y, z = np.linspace(-2.6, 2.6, 40), np.linspace(-1.1, 1.1, 25), np.linspace(-0.1, 1.6, 23)
+    x = np.linspace(-2.6, 2.6, 40)
+    y = np.linspace(-1.1, 1.1, 25)
+    z = np.linspace(-0.1, 1.6, 23)
     caster = o3d.t.geometry.RaycastingScene()
     caster.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(o3d.io.read_triangle_mesh(SEDAN)))
     points = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).astype(np.float32)

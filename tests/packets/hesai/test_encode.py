@@ -29,7 +29,8 @@ CHUNK = 64
 
 def sensed(of, packets, seed=1):
     """Batches of a mount's packets, with ranges and reflectivities out of a hat; a tenth measures nothing."""
-    rng, maker = np.random.default_rng(seed), codec(of.sensor)
+    rng = np.random.default_rng(seed)
+    maker = codec(of.sensor)
     columns = 1 + of.dual
     for batch in maker.schedule(of, START_NS, packets, CHUNK):
         shape = len(batch.firings.time_ns), columns
@@ -83,13 +84,15 @@ KINDS = {  # of the first and the second of two returns; the second strongest ma
 @pytest.mark.parametrize(("model", "mode"), [*SINGLE, *PAIRS])
 def test_each_return_comes_back(model, mode, tmp_path):
     """Range within half a unit, direction within half a hundredth of a degree, the rest exactly."""
-    of, path = mount(model, mode), tmp_path / "drive.pcap"
+    of = mount(model, mode)
+    path = tmp_path / "drive.pcap"
     time_ns, encoder, laser, range_m, reflectivity, sent, _ = capture(of, path, 300)
     cloud = concatenate(list(decode_pcap(path, no_warning)))
     n, column = np.nonzero(sent)
     assert len(cloud.xyz) == len(n) > 0.4 * len(time_ns)
     order = np.lexsort((column, laser[n], time_ns[n]))
-    ring, alone = of.sensor.ring[laser[n]], np.bincount(n, minlength=len(laser))[n] == 1
+    ring = of.sensor.ring[laser[n]]
+    alone = np.bincount(n, minlength=len(laser))[n] == 1
     second = np.isin(cloud.return_type, list(KINDS[mode][-1])) if of.dual else np.zeros(len(cloud.xyz), np.bool_)
     theirs = np.lexsort((second, np.argsort(of.sensor.ring)[cloud.ring], cloud.time_ns))
     np.testing.assert_allclose(cloud.time_ns[theirs], time_ns[n][order], atol=500)
@@ -130,7 +133,8 @@ def test_stamps_sequence_speed_and_times(model, mode, tmp_path):
     sequence = payload[:, tail + 14 : tail + 18].copy().view("<u4")[:, 0]
     np.testing.assert_array_equal(sequence, np.arange(200))
     blocks = payload[0, 7]
-    lasers, groups = 96 if model == "qt128" else of.sensor.count, blocks // (1 + (mode == "dual"))
+    lasers = 96 if model == "qt128" else of.sensor.count
+    groups = blocks // (1 + (mode == "dual"))
     fired_us = (time_ns.reshape(200, groups, lasers) - stamps[:, None, None] * 1000) / 1000
     last = groups - 1 - np.arange(groups)
     if model == "qt128":
@@ -151,10 +155,15 @@ def test_stamps_sequence_speed_and_times(model, mode, tmp_path):
 @pytest.mark.parametrize(("model", "mode"), PAIRS)
 def test_which_block_holds_which_return(model, mode):
     """The bytes of two returns of one firing, and of the packet's mode: 0x39, 0x3B, 0x3C, 0x3E."""
-    of, wanted = mount(model, mode), PAIRS[model, mode]
+    of = mount(model, mode)
+    wanted = PAIRS[model, mode]
     for batch, range_m, reflectivity, payloads in sensed(of, 10):
-        payload, lasers, n = payloads.data[3].tobytes(), payloads.data[3][6], 3 * codec(of.sensor).pace(of).firings
-        laser, stride, unit_m = int(batch.firings.laser[n + 7]), 2 + 4 * int(lasers), payloads.data[3][9] / 1000
+        payload = payloads.data[3].tobytes()
+        lasers = payloads.data[3][6]
+        n = 3 * codec(of.sensor).pace(of).firings
+        laser = int(batch.firings.laser[n + 7])
+        stride = 2 + 4 * int(lasers)
+        unit_m = payloads.data[3][9] / 1000
         for block in (0, 1):
             at = 12 + block * stride + 2 + 4 * laser
             distance = int.from_bytes(payload[at : at + 2], "little") * unit_m
@@ -181,7 +190,8 @@ def test_modes_that_a_model_lacks():
 
 def test_the_second_strongest_stands_in_the_odd_block(tmp_path):
     """Return mode 0x3E, by the QT128C2X manual, section 3.1: block 1 the strongest, block 2 the second strongest."""
-    of, path = mount("qt128", "dual"), tmp_path / "drive.pcap"
+    of = mount("qt128", "dual")
+    path = tmp_path / "drive.pcap"
 
     def renamed(payloads: Payloads):
         payloads.data[:, 1073] = 0x3E
@@ -215,7 +225,8 @@ def test_checksums_and_the_rolling_counter(tmp_path):
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 def test_hydra4_places_the_points_of_an_xt32(mode, tmp_path):
     """By the angles written beside the capture. With dual returns it reads even blocks only, the last returns."""
-    of, path = mount("pandar-xt32", mode), tmp_path / "drive.pcap"
+    of = mount("pandar-xt32", mode)
+    path = tmp_path / "drive.pcap"
     payload = capture(of, path, 40)[-1]
     theirs = PandarXT32(tmp_path / "drive-192.168.1.201-2368-angles.csv", 0.0, 1000.0)
 
@@ -308,7 +319,9 @@ def test_a_rig_of_two_in_the_street(tmp_path):
         replace(mount("pandar-xt32", "dual"), name="left", position_m=(0.3, 0.5, 2.0), rpy_rad=(0.1, -0.05, 0.3)),
         replace(mount("qt128", host="192.168.1.202"), name="right", position_m=(0.3, -0.5, 1.9)),
     )
-    rig, path, truth = Rig("two", mounts), tmp_path / "two.pcap", []
+    rig = Rig("two", mounts)
+    path = tmp_path / "two.pcap"
+    truth = []
     streams = simulated_frames(rig, load_scene(STREET), np.eye(4), SECOND_NS // 10, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     names = {one.name for one in save_sidecar_files(path, mounts)}
@@ -321,7 +334,8 @@ def test_a_rig_of_two_in_the_street(tmp_path):
     assert len(records) == len(cloud.xyz) > 20_000
     assert set(cloud.sensor.tolist()) == {0, 1}
     for i, one in enumerate(mounts):
-        mine, theirs = np.flatnonzero(cloud.sensor == i), records[records["sensor"] == i]
+        mine = np.flatnonzero(cloud.sensor == i)
+        theirs = records[records["sensor"] == i]
         ring = one.sensor.ring[theirs["laser"]]
         found = mine[np.lexsort((cloud.return_type[mine], cloud.time_ns[mine], cloud.ring[mine]))]
         order = np.lexsort((theirs["return_type"], theirs["time_ns"], ring))
@@ -333,7 +347,8 @@ def test_a_rig_of_two_in_the_street(tmp_path):
 
 def test_rewritten_angles_are_read(tmp_path):
     """Whoever writes other angles beside the capture gets other points."""
-    of, path = mount("pandar-xt16"), tmp_path / "drive.pcap"
+    of = mount("pandar-xt16")
+    path = tmp_path / "drive.pcap"
     capture(of, path, 50)
     own = tmp_path / "drive-192.168.1.201-2368-angles.csv"
     before = concatenate(list(decode_pcap(path, no_warning))).xyz
@@ -423,7 +438,8 @@ def test_another_model_than_was_said(tmp_path):
 
 def test_seconds_since_1970_most_significant_first(tmp_path):
     """A date whose year is 0 holds them in its last four bytes, as Hesai's SDK reads it."""
-    path, of = tmp_path / "drive.pcap", mount("pandar-xt16")
+    path = tmp_path / "drive.pcap"
+    of = mount("pandar-xt16")
     ((_, _, _, payloads),) = sensed(of, 20)
     second = START_NS // SECOND_NS + 5
     payloads.data[:, 553:559] = np.frombuffer(b"\0\0" + second.to_bytes(4), np.uint8)
@@ -442,7 +458,8 @@ def test_a_unit_of_half_millimetres_is_an_error(tmp_path):
 
 def test_the_capture_has_one_datagram_a_packet(tmp_path):
     """To the sensor's data port, from the manual's source port 10000, each sent when its last laser has fired."""
-    of, path = mount("qt128", data_port=2370), tmp_path / "drive.pcap"
+    of = mount("qt128", data_port=2370)
+    path = tmp_path / "drive.pcap"
     time_ns, *_ = capture(of, path, 50)
     ends_ns = time_ns.reshape(50, -1).max(axis=1)
     for datagram, end_ns in zip(datagrams_of(path), ends_ns.tolist(), strict=True):

@@ -17,13 +17,16 @@ from tests.packets.hesai.recorded import mount
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 @pytest.mark.parametrize("model", ["pandar-xt32", "pandar-xt16", "xt32m2x", "qt128", "ot128"])
 def test_changed_octets(model, mode, tmp_path):
-    rng, of, path = np.random.default_rng(5), mount(model, mode), tmp_path / "drive.pcap"
+    rng = np.random.default_rng(5)
+    of = mount(model, mode)
+    path = tmp_path / "drive.pcap"
     maker = codec(of.sensor)
     batch = next(maker.schedule(of, START_NS, 50, 50))
     shape = len(batch.firings.time_ns), 1 + (mode == "dual")
     payloads = maker.encode(of, batch, rng.uniform(1, 40, shape), rng.integers(0, 256, shape, np.uint8))
     most = 65535 * 0.255
-    good, errors = 0, []
+    good = 0
+    errors = []
     for _ in range(15):
         data = payloads.data.copy()
         head = np.r_[0:12, data.shape[1] - 60 : data.shape[1]]  # what has a meaning besides ranges

@@ -63,7 +63,8 @@ def written(of, path, packets):
 @pytest.mark.parametrize(("model", "mode", "resolution"), CASES)
 def test_every_return_as_a_plain_loop_has_it(model, mode, resolution, tmp_path):
     """Places, reflectivities, types; and that what was written is what was fired at."""
-    of, path = mount(model, mode, resolution), tmp_path / "drive.pcap"
+    of = mount(model, mode, resolution)
+    path = tmp_path / "drive.pcap"
     batch, range_m, _, payloads = written(of, path, 24)
     angles = [*zip(of.sensor.elevation_rad, of.sensor.azimuth_offset_rad, strict=True)]
     theirs = []
@@ -105,7 +106,8 @@ def test_every_return_as_a_plain_loop_has_it(model, mode, resolution, tmp_path):
 @pytest.mark.parametrize("resolution", ["standard", "high"])
 def test_times_and_places_of_an_ot128_by_hydra4(resolution, tmp_path):
     """Its tables are the manual's; at less than half a microsecond the packet's stamp is rounded away."""
-    of, path = mount("ot128", "strongest", resolution), tmp_path / "drive.pcap"
+    of = mount("ot128", "strongest", resolution)
+    path = tmp_path / "drive.pcap"
     batch, *_, payloads = written(of, path, 40)
     theirs = PandarOT128(tmp_path / "drive-192.168.1.201-2368-angles.csv", 0.0, 1000.0)
     points = [
@@ -141,7 +143,8 @@ def test_the_states_of_high_resolution():
 
 def test_near_returns_of_a_pandar128_have_their_own_times(tmp_path):
     """Pandar128E3X User Manual, appendix II: channel 1 in state 0 at 5201 ns if not beyond 2.85 m, else at 4436 ns."""
-    of, path = mount("pandar128", "strongest"), tmp_path / "drive.pcap"
+    of = mount("pandar128", "strongest")
+    path = tmp_path / "drive.pcap"
     maker = codec(of.sensor)
     (batch,) = maker.schedule(of, START_NS, 2, 2)
     range_m = np.where(np.arange(512)[:, None] < 256, 2.849, 2.851)
@@ -159,7 +162,8 @@ def test_near_returns_of_a_pandar128_have_their_own_times(tmp_path):
 @pytest.mark.parametrize(("model", "resolution"), [("ot128", "high"), ("jt128", "standard"), ("pandar128", "high")])
 def test_other_parts_than_are_written(model, resolution, tmp_path):
     """A signature, a byte of confidence: by the header's flags, as Hesai's SDK has it."""
-    of, path = mount(model, "dual", resolution), tmp_path / "drive.pcap"
+    of = mount(model, "dual", resolution)
+    path = tmp_path / "drive.pcap"
     *_, payloads = written(of, path, 40)
     whole = concatenate(list(decode_pcap(path, no_warning)))
     blocks = payloads.data[:, 12:784].reshape(40, 2, 386)
@@ -189,7 +193,8 @@ def test_firings_give_the_packets_again(model, mode, resolution, tmp_path):
 @pytest.mark.parametrize("resolution", ["standard", "high"])
 def test_lost_and_repeated_packets(resolution, tmp_path):
     """Every tenth packet is gone, every seventh comes twice."""
-    of, path = mount("ot128", "dual", resolution), tmp_path / "drive.pcap"
+    of = mount("ot128", "dual", resolution)
+    path = tmp_path / "drive.pcap"
     *_, payloads = sensed(of, 200)
     rows = np.repeat(np.arange(200), np.where(np.arange(200) % 10 == 4, 0, np.where(np.arange(200) % 7 == 0, 2, 1)))
     write_pcap(path, [frames(of.host, replace(payloads, data=payloads.data[rows], time_ns=payloads.time_ns[rows]))])
@@ -206,7 +211,8 @@ def test_lost_and_repeated_packets(resolution, tmp_path):
 @pytest.mark.parametrize("model", ["ot128", "jt128", "pandar128"])
 def test_the_drivers_view(model, tmp_path):
     """Hesai's SDK with its firing time file turns each laser by the file's time, near and far (udp1_4_parser.cc)."""
-    of, path = mount(model), tmp_path / "drive.pcap"
+    of = mount(model)
+    path = tmp_path / "drive.pcap"
     batch, *_ = written(of, path, 20)
     plain = decode(path, on_warning=no_warning)
     found = decode(path, on_warning=no_warning, driver_view=True)
@@ -244,7 +250,9 @@ def test_a_rig_of_three_in_the_street(tmp_path):
             [("ot128", "dual", "high"), ("jt128", "strongest", "standard"), ("pandar128", "last", "standard")]
         )
     )
-    rig, path, truth = Rig("three", mounts), tmp_path / "three.pcap", []
+    rig = Rig("three", mounts)
+    path = tmp_path / "three.pcap"
+    truth = []
     streams = simulated_frames(rig, load_scene(STREET), np.eye(4), 10_000_000, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     names = {one.name.removeprefix("three-") for one in save_sidecar_files(path, mounts)}
@@ -257,7 +265,8 @@ def test_a_rig_of_three_in_the_street(tmp_path):
     records = np.concatenate(truth)
     assert len(records) == len(cloud.xyz) > 10_000
     for i, one in enumerate(mounts):
-        mine, theirs = np.flatnonzero(cloud.sensor == i), records[records["sensor"] == i]
+        mine = np.flatnonzero(cloud.sensor == i)
+        theirs = records[records["sensor"] == i]
         ring = one.sensor.ring[theirs["laser"]]
         found = mine[np.lexsort((cloud.return_type[mine], cloud.time_ns[mine], cloud.ring[mine]))]
         order = np.lexsort((theirs["return_type"], theirs["time_ns"], ring))

@@ -23,7 +23,8 @@ def test_every_point_of_nebula_and_none_more(recorded):
 
     These are points too near, and the nearer of two that lie within 0.1 m.
     """
-    unit, theirs = recorded.unit, recorded.nebula_m
+    unit = recorded.unit
+    theirs = recorded.nebula_m
     assert len(theirs) == POINTS[recorded]
     octets = recorded.payloads
     ours = decode(unit, unit.packets_of(octets[recorded.first : recorded.last + 1]))
@@ -40,7 +41,8 @@ def test_every_point_of_nebula_and_none_more(recorded):
 
 @pytest.mark.parametrize("recorded", ALL, ids=lambda one: one.model)
 def test_every_return_as_a_plain_loop_has_it(recorded):
-    octets, unit = recorded.payloads[:60], recorded.unit
+    octets = recorded.payloads[:60]
+    unit = recorded.unit
     ours = decode(unit, unit.packets_of(octets))
     table = naive.angles(recorded.table.decode())
     theirs = np.array([point for payload in octets for point in naive.points(payload.tobytes(), table)])
@@ -58,7 +60,8 @@ def test_dual_returns_by_distance_and_strength(recorded):
 
     The XT32 of the recording has the last one in the odd block, the others have it in the even one.
     """
-    octets, unit = recorded.payloads[:400], recorded.unit
+    octets = recorded.payloads[:400]
+    unit = recorded.unit
     ours = decode(unit, unit.packets_of(octets))
     found = {}
     for i, key in enumerate(zip(ours.time_ns.tolist(), ours.laser.tolist(), strict=True)):
@@ -85,7 +88,8 @@ def test_recorded_packets_byte_for_byte(recorded):
         octets[:, 12 : 12 + 8 * 130] = blocks[:, :, ::-1].reshape(len(octets), -1)
     batch, range_m, reflectivity = measured(recorded)
     if recorded is XT32:
-        range_m, reflectivity = range_m[:, ::-1], reflectivity[:, ::-1]
+        range_m = range_m[:, ::-1]
+        reflectivity = reflectivity[:, ::-1]
     of = mount(recorded.model)
     again = codec(of.sensor).encode(of, batch, range_m, reflectivity).data
     different = np.flatnonzero((again != octets).any(axis=0))

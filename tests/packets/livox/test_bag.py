@@ -11,7 +11,9 @@ from lidarcfg.sensors.rig import Rig
 from tests.capture_fixtures import decoded, no_warning, scene
 from tests.packets.livox.fixtures import mount
 
-FLOAT32, FLOAT64, UINT8 = 7, 8, 2
+FLOAT32 = 7
+FLOAT64 = 8
+UINT8 = 2
 FIELDS = [  # lddc.cpp of livox_ros_driver2
     *[("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("intensity", 12, FLOAT32)],
     *[("tag", 16, UINT8), ("line", 17, UINT8), ("timestamp", 18, FLOAT64)],

@@ -41,7 +41,8 @@ def test_a_second_decoder_reads_what_was_measured(model, data_type):
                 assert (point.reflectivity, point.tag) == (0, 0)
                 continue
             count += 1
-            azimuth, elevation = -fired.encoder_rad[i], fired.elevation_rad[i]  # of the sensor: counter-clockwise
+            azimuth = -fired.encoder_rad[i]
+            elevation = fired.elevation_rad[i]  # of the sensor: counter-clockwise
             flat = range_m[i, 0] * np.cos(elevation)
             wanted = flat * np.cos(azimuth), flat * np.sin(azimuth), range_m[i, 0] * np.sin(elevation)
             tolerance = HALF_UNIT_M.get(data_type) or 0.0005 + np.radians(0.005) * 2 * range_m[i, 0]

@@ -13,8 +13,11 @@ from lidarcfg.packets.ouster.telemetry import read_metadata
 from tests.capture_fixtures import decoded, no_warning, recording
 from tests.packets.ouster.judge import judged
 
-SINGLE, DUAL, LOW = "OS-2-128-U1_v2.3.0_1024x10", "OS-0-32-U1_v2.2.0_1024x10", "crc_test"
-LEGACY, FUSA = "OS-2-32-U0_v2.0.0_1024x10", "OS-1-128_767798045_1024x10_20230712_120049"
+SINGLE = "OS-2-128-U1_v2.3.0_1024x10"
+DUAL = "OS-0-32-U1_v2.2.0_1024x10"
+LOW = "crc_test"
+LEGACY = "OS-2-32-U0_v2.0.0_1024x10"
+FUSA = "OS-1-128_767798045_1024x10_20230712_120049"
 RECORDINGS = {  # points, and the footer that the firmware writes
     SINGLE: (119_682, "constant"),
     DUAL: (21_803, "zero"),
@@ -37,7 +40,8 @@ def test_points_fields_and_stamps_are_those_of_ouster_sdk(name):
     pcap, metadata = files(name)
     theirs = judged(pcap, metadata)
     layout = read_metadata(metadata.name, metadata.read_bytes()).layout
-    ours, said = unpack(layout, theirs.packets), column_headers(layout, theirs.packets)
+    ours = unpack(layout, theirs.packets)
+    said = column_headers(layout, theirs.packets)
     assert set(theirs.fields) - {"window"} <= set(ours)
     for key, values in theirs.fields.items():
         np.testing.assert_array_equal(ours[key], values, err_msg=key)

@@ -63,7 +63,8 @@ def mount(model="os1-32", rpm=600.0, fov=None, phase=None, dual=False, **setting
 
 def exported(folder, street, one, duration_ns=100_000_000, way=T_WORLD_VEHICLE):
     """The capture, its metadata and its ground truth."""
-    truth, path = [], folder / "a.pcap"
+    truth = []
+    path = folder / "a.pcap"
     streams = simulated_frames(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     (metadata,) = save_sidecar_files(path, [one])
@@ -73,8 +74,10 @@ def exported(folder, street, one, duration_ns=100_000_000, way=T_WORLD_VEHICLE):
 
 def true_points(sensor, truth, measurement, columns):
     """(N, 3) in the sensor frame, and the beams' directions: by Ouster's own formula."""
-    origin, height = sensor.beams.forward_offset_mm[0] / 1000, sensor.beams.vertical_offset_mm[0] / 1000
-    points, directions = [], []
+    origin = sensor.beams.forward_offset_mm[0] / 1000
+    height = sensor.beams.vertical_offset_mm[0] / 1000
+    points = []
+    directions = []
     for record, column in zip(truth, measurement, strict=True):
         laser = int(record["laser"])
         encoder = 2 * math.pi * (1 - column / columns)
@@ -100,7 +103,8 @@ def check(path, metadata, truth, one, unit_mm):
     order = np.lexsort((truth["return_type"], truth["laser"], truth["time_ns"]))
     truth = truth[order]
     assert found.sum() == len(truth) > 5000
-    time_ns, measurement = theirs.time_ns[packet, column], theirs.measurement[packet, column]
+    time_ns = theirs.time_ns[packet, column]
+    measurement = theirs.measurement[packet, column]
     mine = np.lexsort((which, laser, time_ns))
     np.testing.assert_array_equal(time_ns[mine], truth["time_ns"])
     np.testing.assert_array_equal(laser[mine], truth["laser"])
@@ -278,7 +282,9 @@ def test_lost_packets_are_counted(tmp_path, street):
     kept = tmp_path / "kept.pcap"
     metadata.rename(tmp_path / "kept.json")
     data = path.read_bytes()
-    sizes, at, records = [], 24, []
+    sizes = []
+    at = 24
+    records = []
     while at < len(data):
         size = int.from_bytes(data[at + 8 : at + 12], "little") + 16
         records.append(data[at : at + size])
@@ -318,12 +324,14 @@ def test_inertial_measurements_at_rest(tmp_path, street):
 
 def test_inertial_measurements_on_an_arc(tmp_path, street):
     """On a circle: towards its centre by speed × rate, and the rate about the world's up."""
-    speed, rate_deg = 8.0, 30.0
+    speed = 8.0
+    rate_deg = 30.0
     motion = Motion.model_validate({"arc": {"speed_m_s": speed, "yaw_rate_deg_s": rate_deg}})
     way = Trajectory(np.eye(4), build_path(motion), START_NS)
     one = replace(mount(columns=512), position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0))
     path, _, _ = exported(tmp_path, street, one, way=way)
-    said, rate = imu(path), math.radians(rate_deg)
+    said = imu(path)
+    rate = math.radians(rate_deg)
     x, y, _ = (v / 1000 for v in one.sensor.section.values["imu"]["position_mm"])
     expected = np.array([-(rate**2) * x, speed * rate - rate**2 * y, 9.80665]) / 9.80665
     np.testing.assert_allclose(said["acceleration"], np.tile(expected, (len(said), 1)), atol=1e-4)
@@ -387,7 +395,8 @@ def test_a_rig_of_two_makers(tmp_path):
 @pytest.mark.parametrize("rpm", [600.0, 1200.0])
 def test_inertial_packets_of_firmware_3(tmp_path, street, rpm):
     """As ouster-sdk reads them: in its units, 640 a second, by the columns of each frame, with the frame's number and a CRC."""
-    speed, rate_deg = 8.0, 30.0
+    speed = 8.0
+    rate_deg = 30.0
     motion = Motion.model_validate({"arc": {"speed_m_s": speed, "yaw_rate_deg_s": rate_deg}})
     way = Trajectory(np.eye(4), build_path(motion), START_NS)
     one = mount(columns=512, rpm=rpm, firmware="3.2", imu_profile="ACCEL32_GYRO32_NMEA")

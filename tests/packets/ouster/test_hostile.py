@@ -25,9 +25,11 @@ def packets(one: Mount, number: int) -> tuple[Payloads, bytes]:
     """So many of them with returns everywhere, and their metadata."""
     family = codec(one.sensor)
     batch = next(family.schedule(one, START_NS, number, number))
-    count, width = len(batch.firings.time_ns), 1 + (one.return_mode == "dual")
+    count = len(batch.firings.time_ns)
+    width = 1 + (one.return_mode == "dual")
     rng = np.random.default_rng(1)
-    range_m, gray = rng.uniform(1, 70, (count, width)), rng.integers(0, 256, (count, width)).astype(np.uint8)
+    range_m = rng.uniform(1, 70, (count, width))
+    gray = rng.integers(0, 256, (count, width)).astype(np.uint8)
     return family.encode(one, batch, range_m, gray), family.sidecar_files(one)[".json"]
 
 
@@ -45,7 +47,9 @@ def mutated(value, rng: random.Random):
 
 
 def test_mutated_metadata():
-    rng, outcomes, messages = random.Random(5), {"read": 0, "refused": 0, "none": 0}, []
+    rng = random.Random(5)
+    outcomes = {"read": 0, "refused": 0, "none": 0}
+    messages = []
     said = json.loads(packets(mount(), 1)[1])
     for _ in range(1500):
         text = json.dumps(mutated(said, rng))
@@ -67,7 +71,9 @@ def test_mutated_metadata():
 def test_mutated_packets(tmp_path, profile):
     one = mount(dual="DUAL" in profile, profile=profile, firmware="3.2", columns=512)
     payloads, metadata = packets(one, 64)
-    rng, whole, messages = np.random.default_rng(2), 0, []
+    rng = np.random.default_rng(2)
+    whole = 0
+    messages = []
     (tmp_path / "a.json").write_bytes(metadata)
     path = tmp_path / "a.pcap"
     for _ in range(25):
@@ -95,7 +101,9 @@ def test_mutated_packets(tmp_path, profile):
 
 def records(path: Path) -> list[bytes]:
     """Of a pcap."""
-    data, at, found = path.read_bytes(), 24, []
+    data = path.read_bytes()
+    at = 24
+    found = []
     while at < len(data):
         size = 16 + int.from_bytes(data[at + 8 : at + 12], "little")
         found.append(data[at : at + size])
@@ -118,7 +126,8 @@ def test_fragments(tmp_path, how):
         (tmp_path / f"{name}.json").write_bytes(metadata)
     write_pcap(tmp_path / "whole.pcap", [frames(one.host, payloads)])
     whole = concatenate(list(decode_pcap(tmp_path / "whole.pcap", pytest.fail)))
-    found, rng = records(tmp_path / "whole.pcap"), random.Random(1)
+    found = records(tmp_path / "whole.pcap")
+    rng = random.Random(1)
     each = len(found) // 32
     assert each == 5  # 6,400 bytes and the UDP header
     datagrams = [found[i : i + each] for i in range(0, len(found), each)]
@@ -134,7 +143,8 @@ def test_fragments(tmp_path, how):
             parts[2:3] = [] if how == "missing" else [moved(parts[2], 8)]
     head = (tmp_path / "whole.pcap").read_bytes()[:24]
     (tmp_path / "odd.pcap").write_bytes(head + b"".join(part for parts in datagrams for part in parts))
-    stats, warnings = [], []
+    stats = []
+    warnings = []
     cloud = concatenate(list(decode_pcap(tmp_path / "odd.pcap", warnings.append, on_stats=stats.append)))
     assert (stats[0].packets, stats[0].lost) == (32 - len(damaged), len(damaged))
     assert stats[0].duplicates == (32 if how == "sent twice" else 0)

@@ -13,7 +13,8 @@ def test_light_of_retro_reflectors_is_that_of_a_recorded_os2():
     theirs = judged(path, path.with_suffix(".json"))
     range_m, gray, signal = (theirs.fields[key].astype(float) for key in ("range", "reflectivity", "signal"))
     there = (range_m > 2000) & (signal < 60000)
-    light, gray = (signal * (range_m / 1000) ** 2)[there], gray[there].astype(int)
+    light = (signal * (range_m / 1000) ** 2)[there]
+    gray = gray[there].astype(int)
     diffuse = (gray > 10) & (gray <= 100)
     photons = np.median(light[diffuse] / gray[diffuse])
     for low, high in ((110, 130), (130, 150), (170, 190), (190, 210)):

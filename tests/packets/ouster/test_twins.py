@@ -11,7 +11,9 @@ from lidarcfg.packets.ouster.telemetry import read_metadata
 from tests.naive import ouster as naive
 from tests.packets.ouster.test_encode import PROFILES, START_NS, mount
 
-LEAST_M, MOST_M, SCALE = 0.5, 124.75, 206  # as sensors/os0-32.yaml has them: between which it reports
+LEAST_M = 0.5
+MOST_M = 124.75
+SCALE = 206  # as sensors/os0-32.yaml has them: between which it reports
 
 
 def encoded(profile, firmware, fov=None):
@@ -19,14 +21,16 @@ def encoded(profile, firmware, fov=None):
     one = mount("os0-32", dual="DUAL" in profile, profile=profile, firmware=firmware, columns=512, fov=fov)
     family = codec(one.sensor)
     batch = next(family.schedule(one, START_NS, 32, 32))
-    count, width = len(batch.firings.time_ns), 1 + ("DUAL" in profile)
+    count = len(batch.firings.time_ns)
+    width = 1 + ("DUAL" in profile)
     rng = np.random.default_rng(len(profile))
     range_m = np.sort(rng.uniform(0.3, 135, (count, width)), axis=1)
     range_m[rng.random((count, width)) < 0.1] = np.inf
     gray = rng.integers(0, 256, (count, width)).astype(np.uint8)
     if width == 2:
         same = rng.random(count) < 0.3
-        range_m[same, 1], gray[same, 1] = range_m[same, 0], gray[same, 0]
+        range_m[same, 1] = range_m[same, 0]
+        gray[same, 1] = gray[same, 0]
     return one, batch, range_m, gray, family.encode(one, batch, range_m, gray).data, family.sidecar_files(one)[".json"]
 
 
@@ -35,12 +39,14 @@ def encoded(profile, firmware, fov=None):
 @pytest.mark.parametrize("profile", PROFILES)
 def test_packets_are_those_of_the_tables(profile, firmware, fov):
     if firmware == "2.3" and profile in ("RNG15_RFL8_NIR8_DUAL", "FUSA_RNG15_RFL8_NIR8_DUAL"):
-        firmware, fov = "3.2", (10.0, 200.0)
+        firmware = "3.2"
+        fov = (10.0, 200.0)
     _, batch, range_m, gray, data, metadata = encoded(profile, firmware, fov)
     said = json.loads(metadata)
     form = said["lidar_data_format"]
     start_mm, (first, last) = said["beam_intrinsics"]["lidar_origin_to_beam_origin_mm"], form["column_window"]
-    unit_mm, bits = PROFILES[profile], {"LEGACY": 20}.get(profile, 19 if PROFILES[profile] == 1 else 15)
+    unit_mm = PROFILES[profile]
+    bits = {"LEGACY": 20}.get(profile, 19 if PROFILES[profile] == 1 else 15)
     head = {
         "init": said["sensor_info"]["initialization_id"],
         "serial": int(said["sensor_info"]["prod_sn"]),
@@ -108,7 +114,9 @@ def test_points_of_any_number_of_pixels(profile, pixels):
     """Of the first pixels of each column, as of a sensor with no more; loops take eight of them together."""
     _, _, _, _, data, metadata = encoded(profile, "3.2")
     layout = read_metadata("a.json", metadata).layout
-    begin, end, wide = layout.head, layout.head + 16 * layout.column, layout.profile.pixel
+    begin = layout.head
+    end = layout.head + 16 * layout.column
+    wide = layout.profile.pixel
     columns = data[:4, begin:end].reshape(4, 16, layout.column)
     gone = np.s_[layout.column_head + pixels * wide : layout.column_head + 32 * wide]
     columns = np.delete(columns, gone, axis=2)

@@ -12,7 +12,9 @@ from lidarcfg.sensors.rig import Rig
 from tests.capture_fixtures import decoded, no_warning, scene
 from tests.packets.robosense.fixtures import mount
 
-FLOAT32, FLOAT64, UINT16 = 7, 8, 4
+FLOAT32 = 7
+FLOAT64 = 8
+UINT16 = 4
 FIELDS = [
     *[("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("intensity", 12, FLOAT32)],
     *[("ring", 16, UINT16), ("timestamp", 18, FLOAT64)],
@@ -22,7 +24,8 @@ ROW = np.dtype([("xyz", "<f4", (3,)), ("intensity", "<f4"), ("ring", "<u2"), ("t
 
 @pytest.mark.parametrize("model", ["helios-32", "airy"])
 def test_points_are_laid_out_as_the_drivers(model, tmp_path):
-    rig, path = Rig("rig", (mount(model, rpy_rad=(0.8, 0.0, 0.0)),)), tmp_path / "a.pcap"
+    rig = Rig("rig", (mount(model, rpy_rad=(0.8, 0.0, 0.0)),))
+    path = tmp_path / "a.pcap"
     there = scene(tmp_path, "ground: {reflectivity: 12}")
     write_pcap(path, in_time_order(simulated_frames(rig, there, np.eye(4), 220_000_000)))
     assert save_bag(tmp_path / "bag", path, "sqlite3", rig, None, no_warning) == 4  # three revolutions, and the pose

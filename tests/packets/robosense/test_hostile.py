@@ -17,15 +17,19 @@ MOST_M = 65535 * 0.0025 + 0.035
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 @pytest.mark.parametrize("model", ["helios-16p", "helios-32", "airy"])
 def test_changed_bytes(model, mode, tmp_path):
-    rng, of, path = np.random.default_rng(7), mount(model, return_mode=mode), tmp_path / "drive.pcap"
+    rng = np.random.default_rng(7)
+    of = mount(model, return_mode=mode)
+    path = tmp_path / "drive.pcap"
     maker = codec(of.sensor)
     batch = next(maker.schedule(of, START_NS, 40, 40))
     shape = len(batch.firings.time_ns), 1 + (mode == "dual")
     msop = maker.encode(of, batch, rng.uniform(1, 40, shape), rng.integers(0, 256, shape, np.uint8)).data
     difop = next(maker.housekeeping(of, None, None, START_NS, 1))
-    good, errors = 0, []
+    good = 0
+    errors = []
     for _ in range(20):
-        sent, said = msop.copy(), difop.data[0].copy()
+        sent = msop.copy()
+        said = difop.data[0].copy()
         for _ in range(rng.integers(1, 4)):
             column = rng.integers(46) if rng.random() < 0.6 else rng.integers(1248)
             rows = slice(None) if rng.random() < 0.5 else rng.integers(40)

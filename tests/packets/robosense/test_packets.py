@@ -29,8 +29,10 @@ boxes:
 
 
 def exported(tmp_path, mounts, duration_s=0.25, start_ns=START_NS):
-    path, truth = tmp_path / "a.pcap", []
-    rig, way = Rig("rig", tuple(mounts)), np.eye(4)
+    path = tmp_path / "a.pcap"
+    truth = []
+    rig = Rig("rig", tuple(mounts))
+    way = np.eye(4)
     streams = simulated_frames(
         rig, scene(tmp_path, SCENE), way, round(duration_s * 1e9), start_ns, on_truth=truth.append
     )
@@ -119,10 +121,13 @@ def test_a_16p_as_rs_driver_reads_it(tmp_path):
 @pytest.mark.parametrize(("model", "lasers"), MODELS.items())
 def test_dual_returns_stand_where_the_manual_says(tmp_path, model, lasers):
     """In halves of a block (16 lasers), or in odd and even blocks (32): of one azimuth, which is the next firing's."""
-    mounted, maker = mount(model, return_mode="dual"), codec(load_sensor(model))
+    mounted = mount(model, return_mode="dual")
+    maker = codec(load_sensor(model))
     (batch,) = maker.schedule(mounted, 0, 3, 3)
-    count, rng = len(batch.firings.laser), np.random.default_rng(1)
-    units, intensity = rng.integers(80, 60_000, (count, 2)), rng.integers(0, 256, (count, 2), np.uint8)
+    count = len(batch.firings.laser)
+    rng = np.random.default_rng(1)
+    units = rng.integers(80, 60_000, (count, 2))
+    intensity = rng.integers(0, 256, (count, 2), np.uint8)
     data = maker.encode(mounted, batch, units * 0.0025, intensity).data
     found = [cell for packet in data for cell in naive.dual_cells(packet.tobytes(), lasers)]
     assert len(found) == count

@@ -77,15 +77,18 @@ def test_nebulas_cloud_is_found(tmp_path):
 
 def test_recorded_packets_are_written_again():
     """Byte for byte, all returns, but for what is listed."""
-    sensor, recorded = load_sensor("helios-32"), np.array([list(one) for one in payloads()], np.uint8)
-    of, packets = unit(sensor), payloads()
+    sensor = load_sensor("helios-32")
+    recorded = np.array([list(one) for one in payloads()], np.uint8)
+    of = unit(sensor)
+    packets = payloads()
     cell = np.array([[cell[2:] for cell in naive.cells(one)] for one in packets])
     stamp_ns = np.array([naive.seconds_us(one, 20) for one in packets]) * 1000
     head_rad = np.radians([np.repeat(naive.azimuths(one), 32) / 100 for one in packets])
     laser = np.tile(np.arange(32, dtype=np.uint8), 12 * len(packets))
     fired = Firings((stamp_ns[:, None] + of.firing_schedule(False).offsets_ns.ravel()).ravel(), laser, head_rad.ravel())
     batch = Batch(fired, np.array([int.from_bytes(one[12:16]) for one in packets]), stamp_ns)
-    units, intensity = cell[..., 0].reshape(-1, 1), cell[..., 1].astype(np.uint8).reshape(-1, 1)
+    units = cell[..., 0].reshape(-1, 1)
+    intensity = cell[..., 1].astype(np.uint8).reshape(-1, 1)
     range_m = np.where(units > 0, units * 0.0025, np.inf)
     got = codec(sensor).encode(mount("helios-32"), batch, range_m, intensity).data
 
@@ -104,7 +107,8 @@ def test_recorded_packets_are_written_again():
 
 def test_the_recorded_difop_is_written_again():
     """But for identity and state: address, serial number, zero, clock, voltages, temperatures; and 60 to 62, reserved."""
-    sensor, recorded = load_sensor("helios-32"), difop()
+    sensor = load_sensor("helios-32")
+    recorded = difop()
     angles = {"elevation_deg": tuple(naive.difop_angles(recorded)[0])}
     sensor = sensor.model_copy(update={"beams": sensor.beams.model_copy(update=angles)})
     housekeeping = codec(sensor).housekeeping(mount("helios-32", sensor=sensor), None, None, 0, 10**9)
@@ -123,7 +127,8 @@ def rewritten(tmp_path, keep):
 
 def test_a_difop_that_never_comes(tmp_path):
     """Its packets, which do not say their model, may then be two; named, they are read by the file's angles."""
-    path, said = rewritten(tmp_path, lambda one: one if one.port == 6699 else None), []
+    path = rewritten(tmp_path, lambda one: one if one.port == 6699 else None)
+    said = []
     with pytest.raises(PacketError, match="may be helios-16p or helios-32: its packets say no model, and no DIFOP"):
         decoded_with_stats(path)
     cloud, _ = decoded_with_stats(path, said.append, model="helios-32")

@@ -24,7 +24,8 @@ MODES = ["strongest", "last", "dual"]
 
 def sent(name, mode, packets=60, rpm=600.0, start_ns=AT_NS):
     """Packets of random ranges, and what was fired and met."""
-    sensor, dual = load_sensor(name), mode == "dual"
+    sensor = load_sensor(name)
+    dual = mode == "dual"
     fired = firings(sensor, rpm, start_ns, range(packets), dual)
     rng = np.random.default_rng(7)
     low = max(sensor.range.min_m, 2.0)
@@ -33,7 +34,8 @@ def sent(name, mode, packets=60, rpm=600.0, start_ns=AT_NS):
     if dual:  # the last return is the furthest, and often the only one
         range_m.sort(axis=-1)
         one = rng.random(fired.time_ns.shape) < 0.5
-        range_m[one, 0], reflectivity[one, 0] = range_m[one, 1], reflectivity[one, 1]
+        range_m[one, 0] = range_m[one, 1]
+        reflectivity[one, 0] = reflectivity[one, 1]
     range_m[rng.random(fired.time_ns.shape) < 0.1] = np.inf
     return sensor, encode(sensor, mode, fired, range_m, reflectivity), fired, range_m, reflectivity
 
@@ -52,7 +54,9 @@ def write(path, sensor, packets, fired, host="192.168.1.201", port=2368):
 def elsewhere(path, model, calibration=None):
     """Points (N, 3), times, intensities, rings and labels by velodyne-decoder."""
     config = vd.Config()
-    config.model, config.min_range, config.max_range = model, 0, 1000
+    config.model = model
+    config.min_range = 0
+    config.max_range = 1000
     if calibration:
         config.calibration = calibration
     scans = list(vd.read_pcap(str(path), config))
@@ -72,9 +76,11 @@ def calibrating(sensor, mode="strongest"):
 def agree(ours, xyz, time_s, intensity, ring, slow_s, unturned_ns=0):
     """Point for point; before `unturned_ns` the other decoder does not know yet how fast the head turns."""
     assert len(ours.xyz) == len(xyz)
-    mine, theirs = order(ours.xyz, ours.ring, ours.time_ns / 1e9), order(xyz, ring, time_s)
+    mine = order(ours.xyz, ours.ring, ours.time_ns / 1e9)
+    theirs = order(xyz, ring, time_s)
     a, b = ours.xyz[mine], xyz[theirs]
-    far, time_ns = np.linalg.norm(a, axis=1), ours.time_ns[mine]
+    far = np.linalg.norm(a, axis=1)
+    time_ns = ours.time_ns[mine]
     turned = np.where(time_ns < unturned_ns, 0.16, 0.026)
     assert (np.linalg.norm(a - b, axis=1) <= 2e-4 + far * np.radians(turned)).all()
     assert abs(a[:, 2] - b[:, 2]).max() < 2e-4

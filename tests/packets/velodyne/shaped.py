@@ -52,7 +52,8 @@ def rays(sensor, fired):
     azimuth = fired.azimuth_rad + sensor.azimuth_offset_rad
     elevation = np.broadcast_to(sensor.elevation_rad, azimuth.shape)
     along = directions(azimuth.ravel(), elevation.ravel()).reshape(*azimuth.shape, 3)
-    left, up = sensor.lateral_offset_m, np.broadcast_to(sensor.vertical_offset_m, azimuth.shape)
+    left = sensor.lateral_offset_m
+    up = np.broadcast_to(sensor.vertical_offset_m, azimuth.shape)
     return np.stack([left * np.sin(azimuth), left * np.cos(azimuth), up], axis=-1), along
 
 

@@ -47,7 +47,8 @@ def test_a_unit_is_heard_as_it_was_met(name, mode, tmp_path):
     Points are along the beam within half a step of what was met, and where the corrections end, with a jump, within a
     fifth of them more; across it within half of what x and y are corrected apart. Intensities are the nearest there are.
     """
-    unit, dual = hdl_64e(name), mode == "dual"
+    unit = hdl_64e(name)
+    dual = mode == "dual"
     fired = firings(unit, 600, AT_NS, range(4160), dual)
     rng = np.random.default_rng(4)
     range_m = np.full((*fired.time_ns.shape, 1 + dual), np.inf)
@@ -82,7 +83,8 @@ def test_a_unit_is_heard_as_it_was_met(name, mode, tmp_path):
         for values in (np.broadcast_to(np.arange(64), fired.time_ns.shape), fired.time_ns)
     )
     met = [v[:40].reshape(-1, *v.shape[4:]) for v in (range_m, laser, time_ns, reflectivity, origins, directions)]
-    mine, theirs = np.lexsort((got.range_m, got.time_ns, got.laser)), np.lexsort((met[0], met[2], met[1]))
+    mine = np.lexsort((got.range_m, got.time_ns, got.laser))
+    theirs = np.lexsort((met[0], met[2], met[1]))
     range_m, laser, _, reflectivity, origins, directions = (values[theirs] for values in met)
     assert (got.laser[mine] == laser).all()
 
@@ -135,7 +137,8 @@ def test_a_unit_through_the_commands(tmp_path):
     (tmp_path / "unit.yaml").write_text(text)
     sensor = "{name: roof, model: unit.yaml, position_m: [0.3, 0, 2], rpy_deg: [3, -4, 30]}"
     (tmp_path / "rig.yaml").write_text(f"name: one\nsensors:\n- {sensor}\n")
-    rig, out = str(tmp_path / "rig.yaml"), str(tmp_path / "a")
+    rig = str(tmp_path / "rig.yaml")
+    out = str(tmp_path / "a")
     for words in (
         ["export", rig, "--scene", str(STREET), "--duration", "1.5", "-o", f"{out}.pcap", "--truth", f"{out}.npz"],
         ["decode", f"{out}.pcap", "--rig", rig, "-o", f"{out}-rig.npz"],
@@ -207,7 +210,8 @@ def test_a_unit_that_status_bytes_cannot_say(tmp_path, key, value, message):
     if tables is unit.beams:
         unit = unit.model_copy(update={"beams": tables.model_copy(update={key: tuple(table)})})
     else:
-        unit, key = with_facts(unit, calibration={key: tuple(table)}), f"velodyne.calibration.{key}"
+        unit = with_facts(unit, calibration={key: tuple(table)})
+        key = f"velodyne.calibration.{key}"
     key = key if "." in key else f"beams.{key}"
     rig = Rig("one", (replace(mount(), sensor=unit),))
     where = re.escape(f"lidar_0: sensor 'hdl-64e-s3': {key}[5]: {message}")

@@ -65,7 +65,10 @@ def test_every_layout_is_the_twins(sensor, mode):
 
     A unit's own distances and intensities are those that are found by trying them all.
     """
-    dual, rng, layout, of = mode == "dual", np.random.default_rng(3), facts(sensor).packet, unit(sensor)
+    dual = mode == "dual"
+    rng = np.random.default_rng(3)
+    layout = facts(sensor).packet
+    of = unit(sensor)
     period_ns = packet_period_ns(sensor, dual)
     start_ns = START_NS - 3 * period_ns + 777
     fired = firings(sensor, 600, start_ns, range(8 if of.focal is not None else 30), dual)
@@ -92,7 +95,8 @@ def test_every_layout_is_the_twins(sensor, mode):
         return units, naive.unit_intensity(beams[laser], units, byte) if beams else byte
 
     for p, packet in enumerate(packets):
-        stamp_ns, returns = start_ns + p * period_ns, []
+        stamp_ns = start_ns + p * period_ns
+        returns = []
         for row in zip(*(values[p].tolist() for values in (fired.azimuth_rad, range_m, reflectivity)), strict=True):
             cells = []
             for laser, (azimuth, metres, octets) in enumerate(zip(*row, strict=True)):
@@ -162,10 +166,13 @@ def test_headers_are_those_of_recordings(name, kind, size):
     with open(recording(f"{name}.pcap"), "rb") as file:
         real = [frame for _, frame in dpkt.pcap.Reader(file) if len(frame) == 42 + size]
     assert len(real) > 10
-    header, same = getattr(facts(sensor).headers, kind), 0
+    header = getattr(facts(sensor).headers, kind)
+    same = 0
     for frame in real:
-        host, port = socket.inet_ntoa(frame[26:30]), int.from_bytes(frame[36:38])
-        payload, number = np.frombuffer(frame[42:], np.uint8)[None], int.from_bytes(frame[18:20])
+        host = socket.inet_ntoa(frame[26:30])
+        port = int.from_bytes(frame[36:38])
+        payload = np.frombuffer(frame[42:], np.uint8)[None]
+        number = int.from_bytes(frame[18:20])
         sent = Payloads(np.array([0]), payload, port, facts(sensor).headers, header, number)
         ours = frames(host, sent).records[0][16:]
         unit = slice(9, 12)  # of the MAC address; ours is made of the IP address

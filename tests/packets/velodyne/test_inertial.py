@@ -26,7 +26,9 @@ def read(payload):
     assert [word >> 12 for word in words] == KINDS
     signed = [(word & 0xFFF) - (4096 if word & 0x800 else 0) for word in words]
     gyro1, _, x1, y1, gyro2, _, x2, y2, gyro3, _, x3, y3 = signed
-    right, ahead, up = -(y1 - x3) / 2, -(y2 + y3) / 2, (x1 + x2) / 2
+    right = -(y1 - x3) / 2
+    ahead = -(y2 + y3) / 2
+    up = (x1 + x2) / 2
     rate = np.array([gyro1, gyro2, gyro3]) * 0.09766
     return rate, np.array([ahead, -right, up]) * 0.001221
 
@@ -63,7 +65,8 @@ def test_a_recording_at_rest():
 
 def test_a_bend_to_the_left():
     """v ω towards its centre and ω about the vertical, at where the sensor is: 0.5 m nearer to the centre."""
-    speed, turn = 10.0, math.radians(15)
+    speed = 10.0
+    turn = math.radians(15)
     radius = speed / turn
     rate, g = map(np.array, zip(*map(read, sent(moving(arc={"speed_m_s": 10, "yaw_rate_deg_s": 15}))), strict=True))
     inward = turn**2 * (radius - 0.5) / 9.80665

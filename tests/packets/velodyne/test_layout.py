@@ -51,7 +51,8 @@ def test_sizes():
 def test_bytes_by_hand():
     start = 1_700_000_000 * 10**9  # 800 s past the hour
     fired = firings(VLP16, 600, start, range(1))
-    range_m, reflectivity = np.full((1, 24, 16), np.inf), np.full((1, 24, 16), 77, np.uint8)
+    range_m = np.full((1, 24, 16), np.inf)
+    reflectivity = np.full((1, 24, 16), 77, np.uint8)
     range_m[0, 0, 0] = 1.0
     range_m[0, 1, 2] = 99.9991
     range_m[0, 23, 15] = 0.5
@@ -266,7 +267,9 @@ def test_every_digit_of_a_fix(place_m):
     fields = gprmc(0, (latitude, longitude)).decode().split(",")
     assert (fields[4], fields[6]) == ("NS"[exact[0] < 0], "EW"[exact[1] < 0])
     for text, digits, unit in ((fields[3], 2, units[0]), (fields[5], 3, units[1])):
-        degrees, minutes, decimals = text[:digits], text[digits : digits + 2], text[digits + 3 :]
+        degrees = text[:digits]
+        minutes = text[digits : digits + 2]
+        decimals = text[digits + 3 :]
         assert len(text) == digits + 10
         assert (int(degrees) * 60 + int(minutes)) * 10**7 + int(decimals) == unit
 

@@ -85,7 +85,8 @@ def test_every_return_comes_back(name, mode):
     _, ends_ns = packet_stamps_ns(sensor, fired)
     got = decode(sensor, packets, ends_ns)
     if mode == "dual":  # one entry a return: strongest and last, once if they are the same
-        strongest, last = range_m[..., 0], range_m[..., 1]
+        strongest = range_m[..., 0]
+        last = range_m[..., 1]
         once = (strongest == last) & (reflectivity[..., 0] == reflectivity[..., 1])
         kept = np.stack([np.isfinite(strongest), np.isfinite(last) & ~once], axis=-1)
     else:
@@ -172,7 +173,8 @@ def calibrations(tmp_path_factory):
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_real_recordings(name, tmp_path):
     """Point for point, but for the packets of the VLP-32C that go on beyond its sector: see the next test."""
-    path, model = recording(f"{name}.pcap"), RECORDINGS[name]
+    path = recording(f"{name}.pcap")
+    model = RECORDINGS[name]
     ours = decoded(path)
     if name == "jerry_vlp16":  # its id byte is that of an HDL-32E
         datagrams = [d for d in read_datagrams(path, no_warning) if len(d.payload) == 1206]
@@ -263,7 +265,8 @@ def test_recorded_packets_encode_to_the_same_bytes(name):
     datagrams = [d for d in read_datagrams(recording(f"{name}.pcap"), no_warning) if len(d.payload) == 1206]
     packets = np.frombuffer(b"".join(d.payload for d in datagrams), PACKET)
     found = measurements(unit_of(sensor), packets, np.array([d.time_ns for d in datagrams]))
-    again, expected = encode_measurements(unit_of(sensor), found), packets.copy()
+    again = encode_measurements(unit_of(sensor), found)
+    expected = packets.copy()
     full_turns = expected["blocks"]["azimuth"] >= 36000
     assert full_turns.sum() == (name == "veloview_hdl32e_monterey")
     if name == "jerry_vlp16":
@@ -354,7 +357,10 @@ def test_the_wrong_model_is_refused(tmp_path):
 )
 def test_a_sector_and_back(name, mode, tmp_path):
     """Nothing outside the sector is sent; what is inside comes back with its own time and azimuth."""
-    sensor, low, high, dual = load_sensor(name), 300.0, 40.0, mode == "dual"
+    sensor = load_sensor(name)
+    low = 300.0
+    high = 40.0
+    dual = mode == "dual"
     packets = 250_000_000 // packet_period_ns(sensor, dual)  # two turns and a half
     lidar = replace(mount(), sensor=sensor, return_mode=mode, azimuth_fov_deg=(low, high))
     chunks = [batch.firings for batch in codec(sensor).schedule(lidar, AT_NS, packets, 100)]
@@ -453,7 +459,8 @@ def test_both_clocks_of_a_vls_128(tmp_path):
     for name in ("vls-128", "vls-128-2020"):
         for mode in ("strongest", "dual"):
             sensor, packets, fired, *_ = sent(name, mode)
-            datagrams, stats = write(tmp_path / "a.pcap", sensor, packets, fired), []
+            datagrams = write(tmp_path / "a.pcap", sensor, packets, fired)
+            stats = []
             write_pcap(tmp_path / "b.pcap", datagrams[:1])
             for file in ("a.pcap", "b.pcap"):
                 list(decode_pcap(tmp_path / file, no_warning, on_stats=stats.append))

@@ -73,9 +73,11 @@ def test_what_a_trial_has_upper_bound_is_drawn_from_the_rule_of_metropolis():
 def test_the_first_trial_that_a_chain_takes_moves_it():
     run = started()
     run.tell(np.full(16, np.inf))
-    before, asked = run.sources.copy(), run.ask()
+    before = run.sources.copy()
+    asked = run.ask()
     cost = np.full(128, np.inf)
-    cost[17], cost[18] = asked.upper_bound[17] * 0.999, 0.5  # both of chain 2
+    cost[17] = asked.upper_bound[17] * 0.999
+    cost[18] = 0.5  # both of chain 2
     cost[40] = asked.upper_bound[40]  # of chain 5, and no better than what it had to beat
     run.tell(cost)
     assert np.array_equal(run.sources[2], asked.x[17])
@@ -105,7 +107,9 @@ def learned(coordinates, monkeypatch):
     """
     monkeypatch.setattr(annealing, "STEP_LEAST", 1e-12)
     monkeypatch.setattr(annealing, "STEP_MOST", 1e-12)
-    run, steps, trials = Annealing(coordinates, np.random.default_rng(5), 10**9), [], 0
+    run = Annealing(coordinates, np.random.default_rng(5), 10**9)
+    steps = []
+    trials = 0
     count = len(coordinates)
     run.tell(np.ones(16))
     run.sources[:] = np.random.default_rng(6).permutation(np.linspace(0.05, 0.95, 16 * count)).reshape(16, count)
@@ -180,9 +184,12 @@ def test_populations_do_not_learn_from_each_other(monkeypatch):
 def test_only_the_best_population_ends_a_round(smoothing):
     """From seven tenths on: the one with the best chain, by costs without smoothing, which here say the opposite."""
     run = Annealing(PAIR, np.random.default_rng(1), 16_000, None, smoothing, 3)
-    best, seen = 2 if smoothing else 1, []
+    best = 2 if smoothing else 1
+    seen = []
     while not run.over:
-        asked, before, alone = run.ask(), run.sources.copy(), len(run.sources) == 16
+        asked = run.ask()
+        before = run.sources.copy()
+        alone = len(run.sources) == 16
         population = np.full(len(asked.x), best) if alone else asked.source // 16
         ranks = np.array([3.0, 1.0, 2.0] if asked.smoothing or not smoothing else [2.0, 3.0, 1.0])
         start = np.isinf(asked.upper_bound).all()
@@ -197,7 +204,9 @@ def test_only_the_best_population_ends_a_round(smoothing):
 @pytest.mark.parametrize(("start", "hot"), [(None, 0.03), (np.full(6, 0.5), 0.004)])
 def test_it_cools_evenly_by_a_chain_s_work_to_half_a_thousandth(start, hot):
     """A trial is 1, and 10 more if it is taken."""
-    run, log_t, work = Annealing(COORDINATES, np.random.default_rng(1), 100_000, start), [], []
+    run = Annealing(COORDINATES, np.random.default_rng(1), 100_000, start)
+    log_t = []
+    work = []
     taken = np.random.default_rng(1)  # now many, now few, so that chains have more or fewer trials at a time
     while not run.over:
         asked = run.ask()
@@ -263,7 +272,8 @@ def test_a_given_point_is_refined_before_the_first_round():
 
 def test_with_smoothing_it_asks_at_times_what_its_chains_cost_without():
     """20 times, the last of them at the end; what it is told then moves no chain."""
-    run, asked_without = Annealing(PAIR, np.random.default_rng(1), 16_000, smoothing=0.1), []
+    run = Annealing(PAIR, np.random.default_rng(1), 16_000, smoothing=0.1)
+    asked_without = []
     while not run.over:
         asked = run.ask()
         if asked.smoothing:
@@ -271,7 +281,8 @@ def test_with_smoothing_it_asks_at_times_what_its_chains_cost_without():
             run.tell(1.5 * sphere(asked.x))
             continue
         asked_without.append(run.progress)
-        before, mean = run.sources.copy(), run.mean_cost
+        before = run.sources.copy()
+        mean = run.mean_cost
         assert np.array_equal(asked.x, before)
         assert np.isinf(asked.upper_bound).all()
         run.tell(sphere(asked.x))
@@ -284,7 +295,8 @@ def test_with_smoothing_it_asks_at_times_what_its_chains_cost_without():
 def test_rounds_but_the_first_smooth_and_the_best_cost_that_counts_is_refined(monkeypatch):
     """Smoothed costs, which are less here, are not what a round is judged by."""
     monkeypatch.setattr(annealing, "SECOND_WORK", 2_000)
-    solver, ends = AnnealingRounds(PAIR, 1), []
+    solver = AnnealingRounds(PAIR, 1)
+    ends = []
     while solver.rounds < 2:
         assert solver.ask().smoothing == 0.0
         solver.tell(2 * sphere(solver.ask().x))
@@ -303,7 +315,8 @@ def test_rounds_but_the_first_smooth_and_the_best_cost_that_counts_is_refined(mo
 
 def test_it_climbs_out_of_basins():
     """Rastrigin's function: 11^4 valleys, one of them the deepest, at 1."""
-    run, found = Annealing(Coordinates(np.arange(4), np.arange(4)), np.random.default_rng(3), 40000), np.inf
+    run = Annealing(Coordinates(np.arange(4), np.arange(4)), np.random.default_rng(3), 40000)
+    found = np.inf
     while not run.over:
         y = 10.24 * (run.ask().x - 0.4)
         cost = 1 + (y**2 - 10 * np.cos(2 * np.pi * y) + 10).sum(axis=1)

@@ -68,7 +68,8 @@ def test_trials_are_clipped_to_the_bounds():
 
 def test_greedy_selection_and_counters():
     colony = started(bees=4)
-    before_x, before = colony.x.copy(), colony.cost.copy()
+    before_x = colony.x.copy()
+    before = colony.cost.copy()
     trials = colony.ask()
     told = np.array([before[0] - 0.01, before[1], before[2] + 1, np.inf])
     colony.tell(told)
@@ -108,7 +109,8 @@ def test_trials_of_a_phase_are_told_in_order():
     colony.tell(np.full(2, np.inf))
     while len(set(colony.ask().source.tolist())) > 1:  # until both onlookers choose the same source
         colony.tell(np.full(2, np.inf))
-    trials, source = colony.ask(), colony.ask().source[0]
+    trials = colony.ask()
+    source = colony.ask().source[0]
     colony.tell(np.array([-1.0, -0.5]))  # the second beats the source as drawn, not as it stands
     assert colony.cost[source] == -1.0
     assert np.array_equal(colony.x[source], trials.x[0])
@@ -129,7 +131,8 @@ def test_scouts_replace_exactly_the_exhausted_sources():
     assert 0 < len(exhausted) < 6
     assert trials.source.tolist() == exhausted.tolist()
     assert trials.upper_bound.tolist() == [np.inf] * len(exhausted)
-    x, cost = colony.x.copy(), colony.cost.copy()
+    x = colony.x.copy()
+    cost = colony.cost.copy()
     colony.tell(np.full(len(exhausted), 7.0))  # worse than before, and taken all the same
     kept = np.setdiff1d(range(6), exhausted)
     assert np.array_equal(colony.x[exhausted], trials.x)

@@ -35,7 +35,8 @@ def bowl(x):
 
 
 def run(solver, function, trials):
-    seen, told = [], 0
+    seen = []
+    told = 0
     while told < trials:
         asked = solver.ask()
         assert asked.x.min() >= 0
@@ -112,7 +113,8 @@ def test_auto_walks_from_the_best_of_its_points():
 @pytest.mark.parametrize("flat", [True, False])  # CMA-ES gives up where all costs are equal
 def test_auto_is_one_run_of_cma_es_and_rounds_of_annealing(flat):
     """200 evaluations a dimension of CMA-ES at most. Its best is refined, then rounds begin at random points."""
-    solver, dimensions = Auto(pairs(8), 1), 8
+    solver = Auto(pairs(8), 1)
+    dimensions = 8
     solver.tell(bowl(solver.ask().x))
     spent = 0
     while len(solver.ask().x) == 30:
@@ -123,7 +125,9 @@ def test_auto_is_one_run_of_cma_es_and_rounds_of_annealing(flat):
     assert np.array_equal(solver.ask().x, np.tile(solver.best_x, (16, 1)))
     annealed = 0
     while not annealed or np.isfinite(solver.ask().upper_bound).all():
-        trials, cost, work = len(solver.ask().x), np.inf if annealed else 1.0, 1 if annealed else 11
+        trials = len(solver.ask().x)
+        cost = np.inf if annealed else 1.0
+        work = 1 if annealed else 11
         solver.tell(np.full(trials, cost))
         annealed += trials * work
     assert annealed == pytest.approx(250 * dimensions, abs=128)
@@ -132,7 +136,8 @@ def test_auto_is_one_run_of_cma_es_and_rounds_of_annealing(flat):
 
 def test_lshade_restarts_with_twice_the_evaluations():
     """4000 a dimension at first; every run starts with 18 random points a dimension."""
-    solver, told = LshadeRestarts(2, 1), []
+    solver = LshadeRestarts(2, 1)
+    told = []
     while sum(told) < 8000 + 16000 + 36:
         told.append(len(solver.ask().x))
         solver.tell(bowl(solver.ask().x))
@@ -147,7 +152,8 @@ def test_lshade_restarts_with_twice_the_evaluations():
 def test_lshade_shrinks_to_four_points_that_lie_deep():
     """18 points a dimension at first, 4 at the end, in a straight line between (Tanabe and Fukunaga 2014, eq. 10)."""
     solver = Lshade(4, np.random.default_rng(1), 6000)
-    used, best = 0, np.inf
+    used = 0
+    best = np.inf
     while not solver.over:
         asked = solver.ask()
         assert len(asked.x) == (max(4, round(72 - 68 * used / 6000)) if used else 72)
@@ -155,7 +161,8 @@ def test_lshade_shrinks_to_four_points_that_lie_deep():
         cost = bowl(asked.x)
         cost[cost >= asked.upper_bound] = np.inf  # all that an evaluator says of them
         solver.tell(cost)
-        used, best = used + len(asked.x), min(best, cost.min())
+        used = used + len(asked.x)
+        best = min(best, cost.min())
         assert np.array_equal(bowl(solver.sources[asked.source]), np.minimum(cost, asked.upper_bound))
     assert used >= 6000
     assert best < 1e-6
