@@ -2,7 +2,7 @@
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
 `encode` and `decode` the points, `telemetry` the inertial measurements, `commands` what drivers ask a sensor and
-`emulator` what it answers. `Livox` is the codec, by which the rest of the package knows them.
+`emulator` what it answers. `Livox` is the codec that the rest of the package uses.
 """
 
 from collections.abc import Iterator
