@@ -128,11 +128,11 @@ class TrialEvaluator(Protocol):
 
     @property
     def cuboids(self) -> int:
-        """How many were evaluated."""
+        """The number of cuboids evaluated."""
 
     @property
     def segments(self) -> int:
-        """How many were cast from LiDARs to cuboids, at most."""
+        """The number of segments cast from LiDARs to cuboids, at most."""
 
     def costs(
         self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
@@ -141,7 +141,7 @@ class TrialEvaluator(Protocol):
 
 
 @dataclass(frozen=True)
-class Work:
+class WorkDone:
     """The work that evaluators have done."""
 
     trials: int = 0
@@ -149,9 +149,9 @@ class Work:
     cuboids: int = 0
     segments: int = 0
 
-    def plus(self, evaluator: TrialEvaluator) -> "Work":
+    def plus(self, evaluator: TrialEvaluator) -> "WorkDone":
         """The sum with one more evaluator's work."""
-        return Work(
+        return WorkDone(
             self.trials + evaluator.trials,
             self.full_evaluations + evaluator.full_evaluations,
             self.cuboids + evaluator.cuboids,
@@ -179,7 +179,7 @@ class SearchRun:
         self.history: list[Cycle] = []
         self.best_x = search.best_x
         self.best_cost = math.inf
-        self.work = Work()
+        self.work = WorkDone()
 
     @property
     def evaluations(self) -> int:
