@@ -1,4 +1,4 @@
-"""The manifest of a capture: a file beside it that names what it was made of, so that it can be decoded as it is."""
+"""The manifest of a capture: a file beside it that names its inputs, so that it can be decoded without naming them."""
 
 import hashlib
 import math
@@ -113,7 +113,7 @@ def read_manifest(path: Path) -> CaptureManifest:
 
 
 def manifest_path(capture: Path) -> Path:
-    """The path of a capture's manifest."""
+    """The path of a capture's manifest, beside it."""
     return capture.with_name(capture.name + SUFFIX)
 
 

@@ -55,7 +55,7 @@ class _Block(NamedTuple):
     body: bytes
 
     def unpack(self, layout: str, at: int = 0) -> tuple[int, ...]:
-        """Numbers at a place in the body. Raises struct.error."""
+        """The numbers at an offset in the body. Raises struct.error."""
         return struct.unpack_from(self.order + layout, self.body, at)
 
 

@@ -1,4 +1,4 @@
-"""The ports on which emulated sensors answer. A thread of their own serves them, so that no client delays the packets.
+"""The ports on which emulated sensors answer. A separate thread serves them, so that no client delays the packets.
 
 Clients are not trusted: a request has a greatest size and must end in time, answers must be read, and a port has a
 greatest number of connections.
@@ -128,7 +128,7 @@ class _Port:
         return given.data, given.close
 
     def say(self, what: str) -> None:
-        """Print a line about the port, once."""
+        """Print a message about the port, once."""
         if what not in self._said and len(self._said) < MESSAGES_MAX:
             self._said.add(what)
             self._on_message(one_line(f"{self.address}, {self.service.name}: {what}"))

@@ -77,7 +77,7 @@ class Sources:
 
     @property
     def strangers(self) -> Iterator[str]:
-        """Warnings of LiDARs' packets that were skipped, as they are not the given sensor's."""
+        """Warnings about LiDAR packets that were skipped because they are not the given sensor's."""
         for key, count in sorted(self._skipped.items()):
             given = self._given(key)
             assert given

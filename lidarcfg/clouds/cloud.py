@@ -74,7 +74,7 @@ class PointCloud:
 
     @classmethod
     def none(cls, sensor_names: tuple[str, ...]) -> "PointCloud":
-        """No points of these sensors."""
+        """An empty cloud of these sensors."""
         columns: dict[str, Any] = {key: np.empty((0, 3) if key == "xyz" else 0, kind) for key, kind in FIELDS.items()}
         return cls(sensor_names=sensor_names, **columns)
 
@@ -128,7 +128,7 @@ def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
 
 
 def gather(clouds: Iterable[PointCloud], points: int) -> PointCloud:
-    """The fields of clouds, of about so many points in all, as one; each may be let go before the next comes.
+    """The clouds as one, of about this many `points` in all. Each may be released before the next is taken.
 
     Memory that is not filled is given back. Sensors of the same name are the same sensor.
     """
@@ -150,7 +150,7 @@ def gather(clouds: Iterable[PointCloud], points: int) -> PointCloud:
 
 
 def _resize(columns: Mapping[str, NDArray[Any]], rows: int) -> None:
-    """Make arrays that nobody else knows longer or shorter, where they are if memory allows."""
+    """Lengthen or shorten arrays without other references, in place if memory allows."""
     for column in columns.values():
         column.resize((rows, *column.shape[1:]), refcheck=False)
 
@@ -291,7 +291,7 @@ def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty:
 
 
 def read_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
-    """Those of the named arrays that a .npz holds. Raises CloudError."""
+    """The arrays of these names that a .npz holds. Raises CloudError."""
     try:
         size = check_regular(path)
         with open(path, "rb") as file:

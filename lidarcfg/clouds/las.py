@@ -1,4 +1,4 @@
-"""LAS 1.4 and LAZ, by laspy: our clouds in point format 6, with extra dimensions; and the files of anyone.
+"""LAS 1.4 and LAZ, by laspy: writes our clouds in point format 6 with extra dimensions; reads any program's files.
 
 The extra dimensions are ring, sensor and return type. Times are GPS time: seconds since 1980-01-06 including leap
 seconds, minus 10^9.
@@ -222,7 +222,7 @@ def read_xyz(path: Path, most: int) -> Array:
 
 
 def check_header(path: Path) -> None:
-    """Raises ValueError for numbers that laspy and lazrs would take at their word.
+    """Raises ValueError for sizes in the header that laspy and lazrs would trust.
 
     laspy would look for as many VLRs as are announced; lazrs would allocate memory for as many chunks, and end the
     process, and panic where the items of a point do not add up to its size.

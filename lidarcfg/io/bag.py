@@ -1,4 +1,4 @@
-"""ROS bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses; of a drive also the truth.
+"""ROS bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses; for a drive also ground truth.
 
 Points are laid out as the maker's driver has them, by the `point_fields` of their family, with nothing between the
 fields. The message's stamp is the time of the scan's first point.

@@ -1,4 +1,4 @@
-"""The formats, what converts to what, and the conversion."""
+"""The formats: which kinds of input convert to which, and the conversion."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

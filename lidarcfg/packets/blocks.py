@@ -45,7 +45,7 @@ def decode(
     kind: Bytes,
     polar: bool,
 ) -> Returns:
-    """The returns of the wanted ones (P,) of successive packets (P, size); the others only say how the head turns.
+    """The returns of the wanted (P,) among successive packets (P, size); the others only give the head's motion.
 
     `gap_ns` (P - 1,) are the times between stamps (P,), and `kind` (P,) the types of single returns. Without `polar`,
     ranges and azimuths are empty.

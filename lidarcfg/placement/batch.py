@@ -1,4 +1,4 @@
-"""A batch of trials: what the core takes and returns of it, and the threads that share it.
+"""A batch of trials: what the core takes and returns, and the threads that share the work.
 
 The types are those of core/placement/evaluator.h, field by field.
 """

@@ -1,4 +1,4 @@
-"""The costs of many trials at once: on threads, and without the work that cannot change the answer.
+"""The costs of a batch of trials: on threads, and without work that cannot change the answer.
 
 A trial is kept only if it beats the food source that it was drawn around. For max VSR the subspaces of a few cuboids
 are flooded first, its certificates: those in the source's worst subspaces, and those that refuted earlier trials of
@@ -46,7 +46,7 @@ def slice_of(cuboids: int, threads: int) -> int:
 
 
 class _Remembered(NamedTuple):
-    """What is known of some trials: a food source may move to where one is."""
+    """What is known of some trials; a food source may move to one of them."""
 
     source: Index  # (n,)
     poses: Array  # (n, lidars, 6)

@@ -192,7 +192,7 @@ class Subspaces:
         return self.region.voxel_grid(*self._coloured(value), voxel_m)
 
     def scaled_voxel_grid(self, value: Array) -> "open3d.geometry.VoxelGrid":
-        """The same with one voxel a cuboid, and so not in true proportions: see `Region.scaled_voxel_grid`."""
+        """All cuboids with one voxel each, and so not in true proportions: see `Region.scaled_voxel_grid`."""
         return self.region.scaled_voxel_grid(*self._coloured(value))
 
     def _coloured(self, value: Array) -> tuple[NDArray[np.int64], Array]:

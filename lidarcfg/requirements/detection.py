@@ -116,7 +116,7 @@ class ScenarioCase:
 
 @dataclass(frozen=True)
 class ScenarioResult:
-    """What comes of a scenario at all its speeds and impacts."""
+    """The outcome of a scenario at all its speeds and impacts."""
 
     scenario: Scenario
     rule: Rule
@@ -125,7 +125,7 @@ class ScenarioResult:
     cases: tuple[ScenarioCase, ...]
 
     def with_lost(self, *counts: int) -> "ScenarioResult":
-        """The runs with so many sensors lost."""
+        """The result with this many sensors lost."""
         cases = [replace(case, runs=tuple(run for run in case.runs if len(run.lost) in counts)) for case in self.cases]
         return replace(self, cases=tuple(cases))
 

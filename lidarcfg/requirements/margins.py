@@ -1,4 +1,4 @@
-"""What is left of a requirement with a sensor lost, and with a mount a little off."""
+"""The margin that a requirement keeps with one sensor lost, and with one mount slightly off."""
 
 import math
 from collections.abc import Iterator, Sequence

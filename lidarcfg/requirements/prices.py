@@ -40,7 +40,7 @@ class PriceRequirement:
 
 @dataclass(frozen=True)
 class SensorsRequirement:
-    """There are at most so many sensors."""
+    """The rig has at most this many sensors."""
 
     name: str
     at_most: int

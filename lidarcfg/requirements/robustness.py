@@ -61,7 +61,7 @@ class Robust(Model):
 
     @property
     def spare(self) -> int:
-        """How many draws may be worse than the quantile."""
+        """The number of draws that may be worse than the quantile."""
         return self.drawn - max(math.ceil((self.quantile or 1.0) * self.drawn - 1e-9), 1)
 
     def check(self, lidars: int) -> None:

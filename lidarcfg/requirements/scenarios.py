@@ -33,13 +33,13 @@ class ScenarioRequirement:
 
     @property
     def work(self) -> int:
-        """About as many places as take as long, for progress."""
+        """About the number of places that would take as long, for progress."""
         return PLACES_PER_CASE * len(self.speeds_km_h) * len(self.scenario.file.impacts)
 
     def check(
         self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
     ) -> "ScenarioOutcome":
-        """What comes of it with a rig. Raises ConfigError."""
+        """The outcome for a rig. Raises ConfigError."""
         return ScenarioOutcome(
             self,
             check_scenario(
@@ -73,14 +73,14 @@ class ScenarioRequirement:
 
 @dataclass(frozen=True)
 class ScenarioOutcome:
-    """What comes of such a requirement."""
+    """The outcome of a scenario requirement for a rig."""
 
     requirement: ScenarioRequirement
     tried: ScenarioResult  # also with each single sensor lost, whether that is asked for or not
 
     @cached_property
     def result(self) -> ScenarioResult:
-        """With as many sensors lost as the requirement says, and with all of them."""
+        """The result with the sensors lost that the requirement asks for, and with all sensors."""
         return self.tried.with_lost(0, self.requirement.lost)
 
     @property
@@ -95,7 +95,7 @@ class ScenarioOutcome:
 
     @property
     def verdict(self) -> RequirementVerdict:
-        """In seconds before the last moment to brake."""
+        """The verdict, in seconds before the last moment to brake."""
         found = self.result
         case = found.worst
         worst = case.worst

@@ -36,7 +36,7 @@ class Sampling:
 
     @property
     def text(self) -> str:
-        """What sampling cannot exclude."""
+        """A sentence on what sampling cannot exclude."""
         near, far = (f"{step:.3g}" for step in self.base_m)
         base = f"{near} m apart near the body, {far} m farther out" if near != far else f"{near} m apart"
         turn = "" if not self.finest_deg else f" and {self.finest_deg:.3g}°"

@@ -370,7 +370,7 @@ def _load(path: Path, own: bool = False) -> Sensor:
 
 
 def _meant(name: str, known: Iterable[str]) -> str:
-    """What a name that is not known may mean, and where the known ones are."""
+    """What an unknown name may mean, and where the known names are listed."""
     import difflib  # slow to load, and only for mistakes
 
     plain = {_plain(one): one for one in known}
@@ -383,7 +383,7 @@ def _meant(name: str, known: Iterable[str]) -> str:
 
 
 def _plain(name: str | Path) -> str:
-    """A name without case, blanks and punctuation, which people write in different ways."""
+    """A name in lower case, without blanks and punctuation, which people write in different ways."""
     return re.sub(r"[^a-z0-9]", "", str(name).lower())
 
 

@@ -254,7 +254,7 @@ def count_clusters(
 ) -> Lowest:
     """The points (P, 1) of the largest cluster of an object's returns at places (P, 4), in the worst case.
 
-    With `lost` sensors gone; of all others together, or with `sensors` of each of so many alone. In the worst of all
+    With `lost` sensors gone: of all others together, or with `sensors`, of each of that many alone. In the worst of all
     combinations of phases if `joint`, else with each sensor in the phase of its fewest returns. Beyond the cap values
     are lower bounds. Also the phases there (P, sensors); -1: lost.
     """

@@ -325,7 +325,7 @@ def name_mounts(axes: "Axes", places: Array, names: list[str], size: float) -> N
 
 
 def _text_pt(picture_height: int) -> float:
-    """The size of letters beside the view from above."""
+    """The font size beside the view from above, in points."""
     return 3 + 7 * picture_height / 1080
 
 

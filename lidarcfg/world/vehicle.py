@@ -313,7 +313,7 @@ def object_mesh(scene: Scene, index: int) -> Mesh:
 
 
 def _describe_open(item: SceneObject, edges: Array) -> str:
-    """A message that a body is open, and where."""
+    """A message that says that a body is open, and where."""
     shown = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
     source = f" of {item.file}" if isinstance(item, MeshFile) else ""
     return (

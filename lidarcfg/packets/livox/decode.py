@@ -1,4 +1,4 @@
-"""Decodes packets of points, which hold coordinates: no angles are needed, and the model only to number the lines."""
+"""Decodes packets of points. They hold coordinates, so no angles are needed, and the model only to number the lines."""
 
 import math
 from collections.abc import Mapping, Sequence

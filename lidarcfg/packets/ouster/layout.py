@@ -182,7 +182,7 @@ class Layout:
         return self.bits_of(list(self.profile.fields))
 
     def bits_of(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """(F, 3) the same of some fields; without a mask those that the profile does not have."""
+        """(F, 3) `bits` of some fields; those that the profile does not have get mask 0."""
         none = Field(0, 0)
         found = [self.profile.fields.get(name, none) for name in names]
         return np.array([(field.bit // 32, field.bit % 32, field.most) for field in found], np.int64)

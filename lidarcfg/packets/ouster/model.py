@@ -246,7 +246,7 @@ def phase(mode: Mode, start_ns: int, phase_deg: float | None) -> tuple[int, int]
 
 
 def _firings(mode: Mode, number: Times, time_ns: Times) -> Firings:
-    """All lasers of a column fire at once."""
+    """All lasers of a column fire at the same time."""
     lasers = mode.layout.pixels
     count = mode.layout.columns_per_frame
     turned = (measurements(mode, number) / count + 0.5) % 1

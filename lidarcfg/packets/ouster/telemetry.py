@@ -1,6 +1,6 @@
-"""What an Ouster says of itself: metadata, a JSON file without which its packets cannot be decoded; and its motion.
+"""What an Ouster reports about itself: metadata, the JSON file that decoding needs, and inertial measurements.
 
-Inertial measurements have gravity in them.
+Inertial measurements include gravity.
 """
 
 import json
@@ -266,7 +266,7 @@ def _serial(one: Metadata, packets: Bytes) -> int:
 
 
 def _alike(one: Metadata, other: Metadata) -> bool:
-    """Whether both metadata give the same points."""
+    """Whether both metadata decode to the same points."""
     return (
         (one.layout, one.start_m, one.window) == (other.layout, other.start_m, other.window)
         and np.array_equal(one.elevation_rad, other.elevation_rad)

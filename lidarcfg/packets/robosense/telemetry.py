@@ -171,7 +171,7 @@ def all_difops(source: Source, series: Series) -> Packets:
 
 
 def _read(packet: Packets, series: Series) -> Difop:
-    """What one (1,) says."""
+    """The contents of one packet (1,)."""
     vertical = packet["vertical"][0]
     horizontal = packet["horizontal"][0]
     good = (vertical["sign"] <= 1) & (vertical["hundredths"] <= ANGLE_MAX)
