@@ -274,14 +274,14 @@ def libraries() -> tuple[Any, Any]:
 
 
 def gps_seconds(time_ns: NDArray[np.int64]) -> Array:
-    """Adjusted standard GPS time of times in ns since 1970, UTC: to 30 ns until 2028, the resolution of float64."""
+    """(N,) adjusted standard GPS times of times (N,) in ns since 1970, UTC; to 30 ns until 2028, by float64."""
     whole_s, rest_ns = np.divmod(time_ns, SECOND_NS)
     leaps = np.searchsorted(LEAPS_S, whole_s, side="right")
     return np.asarray(whole_s - SHIFT_S + leaps + rest_ns / SECOND_NS)
 
 
 def unix_ns(gps_s: Array) -> NDArray[np.int64]:
-    """Times in ns since 1970, UTC, of adjusted standard GPS times."""
+    """(N,) times in ns since 1970, UTC, of adjusted standard GPS times (N,)."""
     floor_s = np.floor(gps_s)
     whole_s = floor_s.astype(np.int64) + SHIFT_S
     whole_s -= np.searchsorted(COUNTED_S, whole_s, side="right")

@@ -89,7 +89,7 @@ def validation_error(what: str, *at: str | int) -> PydanticCustomError:
 
 
 def with_faults(faults: Sequence[PydanticCustomError], data: Any, handler: Callable[[Any], M]) -> M:
-    """A model's wrap validator: the faults that it found itself, together with those of the model's fields."""
+    """A model's wrap validator: raises the faults that it found itself, together with those of the model's fields."""
     details = [InitErrorDetails(type=fault, input=data) for fault in faults]
     try:
         made = handler(data)

@@ -53,7 +53,7 @@ def save_mcap(path: Path, source: Path, rig: Rig | None, model: str | None, on_w
 
 
 def write_bag(path: Path, storage: str, made: MessageSource) -> int:
-    """Write messages as a bag, whole or not at all, and return their number."""
+    """Write messages as a bag, whole or not at all, and return their number. Raises ConversionError, OSError."""
     if storage == "ros1":
         return _write_file(path, lambda aside: (_write(aside / path.name, storage, made), aside / path.name))
     whole = Path(os.path.realpath(resolve(path)))

@@ -94,7 +94,7 @@ def choose_format(source: Path, output: Path, name: str | None) -> Format:
 
 
 def format_of(kind: Kind, output: Path, name: str | None) -> Format:
-    """The format for an input of a known kind."""
+    """The format for an input of a known kind. Raises ConversionError."""
     formats = [form for form in FORMATS if form.kind == kind]
     if name:
         for form in formats:

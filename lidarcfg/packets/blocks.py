@@ -55,5 +55,5 @@ def decode(
 
 
 def by_packet(values: NDArray[Any], packets: int, dtype: type[D]) -> NDArray[D]:
-    """The values in the order of packets as a contiguous matrix, a row a packet."""
+    """(P, n) the values in the order of packets, a row for each packet; contiguous."""
     return np.ascontiguousarray(values, dtype).reshape(packets, -1)

@@ -44,7 +44,7 @@ def seen_by_m3(region: Region, seen_by: NDArray[np.integer] | None, lidars: int)
 
 
 def fraction_below(region: Region, seen_by: NDArray[np.integer], least: int) -> float:
-    """The fraction of the region's volume that fewer than `least` LiDARs see."""
+    """The fraction of the region's volume that fewer than `least` LiDARs see; `seen_by` (nx, ny, nz) counts them."""
     below = (seen_by < least) & region.included
     return float(np.count_nonzero(below) / np.count_nonzero(region.included))
 

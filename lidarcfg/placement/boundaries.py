@@ -205,7 +205,7 @@ class Bounds(NamedTuple):
 
 
 def bounds(edges: Array, surfaces: Quadrics, position_m: Array, axis: int) -> Bounds:
-    """What may bound a LiDAR's sight, by lines along an axis; edges and surfaces relative to the LiDAR."""
+    """What may bound a LiDAR's sight, by lines along an axis; edges (E, 2, 3) and surfaces relative to the LiDAR."""
     order = axes_from(axis)
     edges = edges[:, :, order]
     m = surfaces.m[:, order][:, :, order]

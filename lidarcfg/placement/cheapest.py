@@ -218,7 +218,7 @@ class CheapestRun:
         )
 
     def result(self, interrupted: bool) -> Cheapest:
-        """The best found so far. Raises KeyboardInterrupt if there is none yet."""
+        """The best found so far. Raises KeyboardInterrupt or ConfigError if there is none yet."""
         if not self.efforts:
             if interrupted:
                 raise KeyboardInterrupt

@@ -41,7 +41,7 @@ class Lidar:
 
 
 def lidar(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array, sin_elevation: Array) -> Lidar:
-    """The LiDAR with these beams at this pose in the vehicle frame, of unlimited range and field of view."""
+    """The LiDAR at this pose in the vehicle frame, with beams (n,) ascending, of unlimited range and field of view."""
     return Lidar(np.asarray(position_m, np.float64), up(rpy_rad), sin_elevation, level(rpy_rad))
 
 

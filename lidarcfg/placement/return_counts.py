@@ -85,7 +85,7 @@ class ReturnCounts:
         return Detection(rate, len(missed), half_width, found)
 
     def rings(self, distances: Distances, edges_m: Array) -> Rings:
-        """Its places by their distances along the ground."""
+        """Its places by their distances along the ground, in rings between `edges_m` (n + 1,)."""
         at = ring(distances(self.target.places), edges_m)
         n = len(edges_m) - 1
         detected = np.bincount(at, self.probability, n + 1)[:n]

@@ -239,7 +239,7 @@ class SearchRun:
         return self._search.ask()
 
     def tell(self, trials: Trials, cost: Array, budget: Budget) -> bool:
-        """Tell the solver the costs of its trials, and keep the best. Returns as `step` does."""
+        """Tell the solver the costs (n,) of its trials, and keep the best. Returns as `step` does."""
         search = self._search
         kind = self._kind(trials)
         self.asked[kind] += len(cost)
@@ -264,7 +264,7 @@ class SearchRun:
         return trials.phase if trials.phase in self.asked else "trial"
 
     def costs(self, trials: Trials, evaluator: TrialEvaluator, budget: Budget) -> Array:
-        """The costs of the rigs at the trials, those of the log first; fewer if a budget cuts the batch short."""
+        """(n,) the costs of the rigs at the trials, those of the log first; fewer if a budget cuts the batch short."""
         count = len(trials.x)
         if len(self._replay) >= count:
             cost = self._replay[:count]
@@ -328,7 +328,7 @@ def at_bounds(study: Study, poses: Array) -> tuple[str, ...]:
 def costs(
     study: Study, evaluator: Evaluator | TrialEvaluator, sources: Array, trials: Trials, count: int, deadline: float
 ) -> Array:
-    """The costs of the first `count` trials, or inf where a trial does not beat its cost to beat.
+    """(count,) the costs of the first trials, or inf where one is not below its upper bound.
 
     Fewer if the `deadline` (of `clock`) passes meanwhile.
     """

@@ -69,7 +69,7 @@ def count_set(region: Region, words: Words) -> NDArray[np.integer]:
 
 
 def cuboid_number(grid: core.Grid, index: tuple[Counts, Counts, Counts]) -> Counts:
-    """The numbers of cuboids by their indices along x, y and z."""
+    """(N,) the numbers of cuboids by their indices along x, y and z, (N,) each."""
     i, j, k = index
     row = ((k + 1) * (grid.shape[1] + 2) + j + 1) * grid.chunks + (i >> 6)
     number: Counts = row << 6 | i & 63

@@ -106,7 +106,7 @@ def inside_points(closed: Sequence[Mesh], points: Array) -> Flags:
 
 
 def contains_box(closed: Sequence[Mesh], low: Array, high: Array) -> bool:
-    """Whether a box is certainly inside the components of a closed mesh.
+    """Whether the box from low (3,) to high (3,) is certainly inside the components of a closed mesh.
 
     One corner is, and no triangle's bounds touch it.
     """

@@ -134,7 +134,7 @@ class Solid:
         return np.asarray(flat & (points_m[:, 2] > self.low_m[2]) & (points_m[:, 2] < self.high_m[2]))
 
     def contains_box(self, low_m: Array, high_m: Array) -> bool:
-        """Whether a box is certainly inside."""
+        """Whether the box from `low_m` (3,) to `high_m` (3,) is certainly inside."""
         if isinstance(self.shape, tuple):
             inside_bounds = bool((low_m >= self.low_m).all() and (high_m <= self.high_m).all())
             return inside_bounds and contains_box(self.components, low_m, high_m)

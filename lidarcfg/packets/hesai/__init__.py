@@ -112,7 +112,7 @@ class Hesai(Codec):
         return decode.HesaiDecoder(source.where, Unit(sensor, unit.facts), source.driver_view)
 
     def emulator(self, source: Source, packets: Bytes, site: Site) -> HesaiEmulator:
-        """PTC."""
+        """Answers PTC commands."""
         return HesaiEmulator(self.unit, source, site)
 
     def firing_ns(self) -> Times:

@@ -333,7 +333,7 @@ def _firings(unit: Unit, mount: Mount, start_ns: int, numbers: range) -> tuple[F
 
 
 def within(mount: Mount, encoder_rad: Array) -> Flags:
-    """Whether the head points into the mount's field of view."""
+    """Whether the head points into the mount's field of view, for head angles in any shape."""
     if mount.azimuth_fov_deg is None:
         return np.ones(encoder_rad.shape, np.bool_)
     low, high = mount.azimuth_fov_deg

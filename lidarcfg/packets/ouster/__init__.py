@@ -108,7 +108,7 @@ class Ouster(Codec):
         return decode.OusterDecoder(source.where, metadata, sensor.name)
 
     def emulator(self, source: Source, packets: Bytes, site: Site) -> OusterEmulator:
-        """The HTTP interface."""
+        """Answers HTTP requests."""
         return OusterEmulator(source, packets, site)
 
     def firing_ns(self) -> Times:

@@ -203,7 +203,7 @@ def column_values(layout: Layout, packets: Bytes, dtype: str, at: int) -> NDArra
 
 
 def column_headers(layout: Layout, packets: Bytes) -> ColumnHeaders:
-    """The headers of the columns."""
+    """The headers of the columns in packets (P, size)."""
     if layout.legacy:
         valid = column_values(layout, packets, "<u4", layout.column - 4) == LEGACY_VALID
     else:
@@ -217,7 +217,7 @@ def column_headers(layout: Layout, packets: Bytes) -> ColumnHeaders:
 
 
 def packet_headers(layout: Layout, packets: Bytes) -> PacketHeaders:
-    """The headers of the packets; serial number, states and countdowns are the first packet's."""
+    """The headers of packets (P, size); serial number, states and countdowns are the first packet's."""
     if layout.legacy:
         return PacketHeaders(values(packets, "<u2", 10).astype(np.int64), 0, 0)
     fusa = layout.profile.header == "fusa"
@@ -261,7 +261,7 @@ def add_frames(layout: Layout, packets: Bytes, count: int) -> None:
 
 
 def write_column_headers(layout: Layout, packets: Bytes, headers: ColumnHeaders) -> None:
-    """Write the columns' stamps, numbers and states."""
+    """Write the stamps, numbers and states of the columns in packets (P, size)."""
     column_values(layout, packets, "<u8", 0)[:] = headers.time_ns
     column_values(layout, packets, "<u2", 8)[:] = headers.measurement
     if layout.legacy:

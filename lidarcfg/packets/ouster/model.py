@@ -221,7 +221,7 @@ def measurements(mode: Mode, number: Times) -> Times:
 
 
 def in_window(mode: Mode, measurement: Times) -> Flags:
-    """Which columns are measured."""
+    """Which columns, numbered in any shape, are in the azimuth window and so measured."""
     first, last = mode.window
     count = mode.layout.columns_per_frame
     return np.asarray((measurement - first) % count <= (last - first) % count)

@@ -245,9 +245,9 @@ def find_metadata(source: Source, packets: Bytes) -> Metadata:
     payload = packets[0].tobytes()
     beside = _metadata_beside(source, size)
     if not beside:
-        what = f"an Ouster's packets of {size} bytes need the sensor's metadata in a .json beside the capture"
+        what = f"an Ouster's packets of {size} bytes need the sensor's metadata, a .json named as the capture beside it"
         there = ", ".join(source.sidecar_files(SUFFIX))
-        raise PacketError(f"{source.where}: {what}, called as it" + (f"; {there} is not that" if there else ""))
+        raise PacketError(f"{source.where}: {what}" + (f"; {there} is not that" if there else ""))
     fit = [one for one in beside if is_lidar_packet(one.layout.name, payload)]
     same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
     if not same:
