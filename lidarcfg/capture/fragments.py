@@ -44,7 +44,7 @@ class Reassembly:
         self._settled: dict[bytes, dict[int, bytes] | None] = {}  # the latest, oldest first: their parts; None: damaged
         self._dropped = 0
         self._from_ns = from_ns
-        self.cut = 0  # datagrams of which the capture has only the beginning
+        self.cut = 0  # datagrams whose end the capture does not have
 
     @property
     def incomplete(self) -> int:

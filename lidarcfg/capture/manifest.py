@@ -21,7 +21,7 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory, load_path
 
 SUFFIX = ".yaml"  # appended to the capture's name, so that it differs from a rig of that name
-READ = 1 << 20  # bytes of a file at once
+READ = 1 << 20  # bytes of a file read at a time
 
 
 class FileDigest(Model):

@@ -19,7 +19,7 @@ from lidarcfg.packets.emulator import RequestError, Service, Target
 
 BEGINNING_MAX = 1 << 14  # bytes that must tell the size of a request
 REQUEST_MAX = 1 << 20  # bytes
-CONNECTIONS_MAX = 64  # of a port at once
+CONNECTIONS_MAX = 64  # open on a port at the same time
 PATIENCE_S = 5.0  # with a client that does not end its request, or does not read its answer
 MESSAGES_MAX = 100  # of a port
 PUSH_S = 1.0  # between two datagrams that nobody asked for
@@ -139,7 +139,7 @@ def _bound(address: str, service: Service, shared: bool = False) -> socket.socke
     stream = service.transport == "tcp"
     opened = socket.socket(socket.AF_INET, socket.SOCK_STREAM if stream else socket.SOCK_DGRAM)
     try:
-        if shared or (stream and sys.platform != "win32"):  # where a port of a closed connection can be taken at once
+        if shared or (stream and sys.platform != "win32"):  # a closed connection would keep its port for a while
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         opened.bind((address, service.port))
         if stream:
@@ -263,7 +263,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._full = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)  # of which Python 3.11 derives none
+        self._transport = cast(asyncio.DatagramTransport, transport)  # Python 3.11's does not derive from it
 
     def pause_writing(self) -> None:
         self._full = True

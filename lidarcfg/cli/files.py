@@ -15,7 +15,7 @@ from lidarcfg.errors import ConfigError, LidarcfgError, SceneError, one_line
 from lidarcfg.files import replacing, shipped
 
 KINDS = ("study", "rig", "scene", "sensor")
-CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle of which no mesh is known
+CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
 
 
 def vehicles() -> dict[str, Path]:

@@ -27,7 +27,7 @@ from lidarcfg.cli.view import view
 from lidarcfg.errors import ConfigError, LidarcfgError, one_line, reason
 from lidarcfg.inputs import LIBRARIES_BYTES, check_memory, is_out_of_memory, out_of_memory
 
-OBJECTS_BETWEEN_COLLECTIONS = 200_000  # at 700 a tenth of a start is spent on garbage, of which imports make little
+OBJECTS_BETWEEN_COLLECTIONS = 200_000  # at 700, a tenth of a start is spent on collections that find little garbage
 MEANT = {  # what other programs call our options
     "--time": ("--seconds", "--duration"),
     "--timeout": ("--seconds",),

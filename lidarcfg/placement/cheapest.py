@@ -75,7 +75,7 @@ class Cheapest:
         SearchedCombination, ...
     ]  # by price: all that are cheaper, and those that were searched; all if none meets all
     combinations: int  # that are not alike
-    excluded: int  # of those, of which no rig can meet all
+    excluded: int  # of those, the ones of which no rig can meet all requirements
     evaluations: int
     seconds: float
     interrupted: bool

@@ -35,7 +35,7 @@ class Lidar:
     position_m: Array  # (3,)
     axis: Array  # (3,) unit, the sensor's z in the vehicle frame
     sin_elevation: Array  # (beams,) ascending
-    level: Array | None = None  # (3, 2) its x and y, of which there must be some if there is a field of view
+    level: Array | None = None  # (3, 2) its x and y axes; required if there is a field of view
     range_m: tuple[float, float] | None = None  # least, greatest; None: any
     azimuth_fov: tuple[float, float] | None = None  # radians from x, clockwise, from and to; None: all around
 

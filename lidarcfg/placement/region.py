@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
 CUBOID_BYTES = 11  # of memory to evaluate one, measured
-CUBOID_ADDRESSES = 110  # of bytes that are reserved for one, most of which are never used
+CUBOID_ADDRESSES = 110  # bytes of address space reserved for one, most of them never used
 VOXEL_BYTES = 300  # of memory for one of Open3D's, and to make it
 NEAREST_M = 1e-9  # least distance of centres
 NEAREST = 1e-12  # the same relative to the coordinates

@@ -174,7 +174,7 @@ class PointsFirst(Best):
     """Given points first, then the study's solver, which starts from the best of them.
 
     The points come in batches. In all but the first a point counts only if it is better than those before.
-    By requirements `auto` is annealing at once: its trials move one sensor each, and the others need not be cast anew.
+    With requirements, `auto` is annealing from the start: its trials move one sensor each; the others need no casting.
     """
 
     def __init__(self, study: Study, points: Array, restarts: int = 0) -> None:

@@ -42,7 +42,7 @@ class ScenarioRun:
     """A scenario at one speed and impact, from one start on, with some sensors lost."""
 
     approach: Approach
-    start: int  # 0 to 3: by so many quarters of a frame closer to the impact
+    start: int  # 0 to 3: how many quarters of a frame closer to the impact
     lost: tuple[int, ...]  # numbers of sensors
     frame_s: float
     needed_s: float  # from the last moment to brake to the impact

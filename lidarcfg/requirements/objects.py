@@ -35,7 +35,7 @@ CAP_FACTOR = 4  # by which the cap grows then
 CAP_MAX = 1 << 23
 TRIAL_PLACES = 1000  # of the base grid, at which the trials of a search are judged at first
 TRIAL_GROWTH = 10  # of that number, until all are looked at
-MISSED_MOST = 256  # places of the base grid that are found at once
+MISSED_MOST = 256  # places of the base grid, found at a time
 JOINT_MAX = 256  # combinations of phases that are all tried for clusters
 # Above the ground a cluster has a point at least so high: autonomous_emergency_braking.param.yaml of autoware_launch at
 # 025908d.
@@ -52,7 +52,7 @@ class ObjectRequirement:
     target: Target
     stand: Stand
     returns: int
-    sensors: int | None = None  # so many sensors get them, each alone; None: all together
+    sensors: int | None = None  # the number of sensors that get them, each alone; None: all together
     at_least: float = 1.0  # fraction of the base grid's positions, each at its worst heading
     lost: int = 0  # sensors that fail
     cluster_m: float | None = None  # they are of one cluster with this tolerance
@@ -422,7 +422,7 @@ class ObjectJudge:
         return short
 
     def _breaking(self, tried: Refined, mounts: Sequence[Mount]) -> tuple[str, ...]:
-        """The sensors of which each alone, if it fails, breaks the requirement."""
+        """The sensors whose failure, each alone, breaks the requirement."""
         if len(mounts) == 1:
             return ()
         item = self.item

@@ -246,7 +246,7 @@ class PostRequirement:
         return lowest_at(self.posts.counted, self.target, mounts, self.obstacles, 1, wanted).counts
 
     def _breaking(self, counts: Counts, mounts: Sequence[Mount]) -> tuple[str, ...]:
-        """The sensors of which each alone, if it fails, breaks the requirement."""
+        """The sensors whose failure, each alone, breaks the requirement."""
         if len(mounts) == 1:
             return ()
         number = (counts > 0).sum(axis=1)

@@ -27,7 +27,7 @@ SIGMAS = ("position_sigma_m", "angle_sigma_deg")
 class Robust(Model):
     """What a rig has to withstand. The larger of the costs with failed LiDARs and with mounting errors counts."""
 
-    lost: Annotated[int, Field(ge=1)] | None = None  # LiDARs that fail at once
+    lost: Annotated[int, Field(ge=1)] | None = None  # LiDARs that fail at the same time
     position_sigma_m: Annotated[float, Field(ge=0, le=10)] | None = None  # of every coordinate of every LiDAR
     angle_sigma_deg: Annotated[float, Field(ge=0, le=180)] | None = None  # about every axis of every LiDAR
     samples: Annotated[int, Field(ge=1, le=CASES_MAX)] | None = None  # draws of all LiDARs' errors

@@ -85,7 +85,7 @@ class ScenarioOutcome:
 
     @property
     def breaking(self) -> tuple[str, ...]:
-        """The sensors of which each alone, if it fails, breaks the requirement."""
+        """The sensors whose failure, each alone, breaks the requirement."""
         out = []
         for n, name in enumerate(self.tried.sensor_names):
             runs = [run for case in self.tried.cases for run in case.runs if run.lost == (n,)]

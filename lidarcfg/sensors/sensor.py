@@ -169,7 +169,7 @@ class Firing(Model):
     source: str = ""
     step_deg: Annotated[float, Field(gt=0, le=360)] | None = None  # that the head turns from one sequence to the next
     sequence_ns: Annotated[int, Field(gt=0, le=10**9)] | None = None  # or the time from one to the next
-    offset_ns: tuple[Annotated[int, Field(ge=0, le=10**9)], ...] = ()  # of each laser in it; none: all at once
+    offset_ns: tuple[Annotated[int, Field(ge=0, le=10**9)], ...] = ()  # of each laser in it; none: all together
 
     @model_validator(mode="after")
     def _check(self) -> "Firing":

@@ -101,7 +101,7 @@ class Returned:
     """The returns from an object at P places."""
 
     counts: NDArray[np.int32]  # (P, sensors, PHASES)
-    phases: tuple[int, ...]  # (sensors,) so many of the last axis are a sensor's, the others are 0
+    phases: tuple[int, ...]  # (sensors,) how many entries of the last axis are a sensor's; the others are 0
 
     @property
     def worst(self) -> Array:

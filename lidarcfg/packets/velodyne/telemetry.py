@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 MARK = b"UNIT#"
 HEAD = 7  # bytes
 ROW = 7
-ROWS = 4  # of a record, of which the calibration takes three
+ROWS = 4  # of a record; the calibration takes three
 RECORD = 28  # bytes
 LASERS = 64
 LENGTH = HEAD + LASERS * RECORD + 3 * ROW
