@@ -69,9 +69,9 @@ class Robust(Model):
         if self.lost is None:
             return
         if self.lost >= lidars:
-            of = "the only LiDAR leaves" if lidars == 1 else f"{self.lost} of {lidars} LiDARs leave"
+            which = "the only LiDAR" if lidars == 1 else f"{self.lost} of {lidars} LiDARs"
             allowed = "studies of two LiDARs or more" if lidars == 1 else f"1 to {lidars - 1}"
-            raise ConfigError(f"to lose {of} none; allowed: {allowed}")
+            raise ConfigError(f"losing {which} leaves none; allowed: {allowed}")
         if (count := math.comb(lidars, self.lost)) > CASES_MAX:
             what = f"{self.lost} of {lidars} LiDARs can fail in {count:,} ways"
             raise ConfigError(f"{what}; allowed: at most {CASES_MAX:,}")
