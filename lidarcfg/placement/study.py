@@ -41,7 +41,7 @@ from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.requirements import Requirements, Site, Source, resolved, sources
 from lidarcfg.requirements.robustness import Robust, mounted
-from lidarcfg.requirements.sensors import scanners_of
+from lidarcfg.requirements.sensor_counts import scanners_of
 from lidarcfg.requirements.target import box_target
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
 from lidarcfg.world.scene import Scene, load_scene

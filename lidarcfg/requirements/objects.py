@@ -12,7 +12,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.places import FINEST_M, FINEST_RAD, Stand
 from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensors import (
+from lidarcfg.requirements.sensor_counts import (
     ALL,
     KeptCounts,
     OnPlaces,

@@ -20,7 +20,7 @@ from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.places import Zone
 from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensors import OnPlaces, lowest_at, misplaced, no_progress
+from lidarcfg.requirements.sensor_counts import OnPlaces, lowest_at, misplaced, no_progress
 from lidarcfg.requirements.target import box_target
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
 from lidarcfg.sensors.rig import Mount

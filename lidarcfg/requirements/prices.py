@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.requirements.sensors import OnPlaces, no_progress
+from lidarcfg.requirements.sensor_counts import OnPlaces, no_progress
 from lidarcfg.requirements.verdict import RequirementVerdict
 from lidarcfg.sensors.rig import Mount
 

@@ -13,7 +13,7 @@ from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.objects import cases
 from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensors import OnPlaces, misplaced, no_progress
+from lidarcfg.requirements.sensor_counts import OnPlaces, misplaced, no_progress
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.vehicle import Vehicle

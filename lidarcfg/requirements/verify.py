@@ -19,7 +19,7 @@ from lidarcfg.requirements.posts import PostRequirement, PostVisibility
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.scenarios import ScenarioRequirement
-from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.sensor_counts import lowest_at
 from lidarcfg.requirements.shadow import STEP_M as SHADOW_STEP_M
 from lidarcfg.requirements.shadow import ShadowRequirement
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
