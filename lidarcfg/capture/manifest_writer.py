@@ -112,7 +112,7 @@ def _rig(rig: Rig, folder: Path) -> SidecarInput | None:
 
 
 def _scene(scene: Scene) -> Path | SidecarInput | None:
-    """The file that the scene was loaded from; a new one if that has changed and the scene names no other files."""
+    """The file that the scene was loaded from; a new one if the scene is not that file's and names no files."""
     with suppress(ConfigError):
         if scene.path and load(scene.path, SceneFile) == scene.file:
             return scene.path

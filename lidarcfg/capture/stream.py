@@ -107,7 +107,7 @@ class Stream:
         return Packets(self._sender, sensor_names, decoder, packets, times_ns, device_ns, wanted)
 
     def _count_lost(self, decoder: Decoder, packets: Bytes, device_ns: Times, wanted: Flags, stop: int) -> None:
-        """Count the wanted among the first `stop` packets, and the lost ones. A late packet was counted as lost.
+        """Count the wanted among the first `stop` packets, and the lost ones. A late one was already counted as lost.
 
         Decoders compare a packet with the newest before it, so that nothing counts as lost twice.
         """

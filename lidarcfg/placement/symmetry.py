@@ -72,7 +72,7 @@ class _Group:
 
     @property
     def consists_of(self) -> dict[str, Any]:
-        """The group's values without its position."""
+        """The group's values without its bounds."""
         return {key: value for key, value in self.file.items() if key not in BOUNDS}
 
     def is_alike(self, other: "_Group") -> bool:

@@ -80,7 +80,7 @@ class ScenarioOutcome:
 
     @cached_property
     def result(self) -> ScenarioResult:
-        """The result with the sensors lost that the requirement asks for, and with all sensors."""
+        """The result of the runs with as many sensors lost as the requirement says, and with all sensors."""
         return self.tried.with_lost(0, self.requirement.lost)
 
     @property
