@@ -1,5 +1,24 @@
 """lidarcfg: where should the LiDARs sit on this vehicle, and what will they see?
 
+The packages, each importing only those above it:
+
+    config        our YAML files, strictly checked
+    clouds        point clouds and their files
+    sensors       sensor models, rigs, and when lasers fire
+    world         scenes, vehicles, trajectories; what rays hit
+    packets       the makers' packets, a folder each: encoded, decoded
+    simulate      firings -> echoes -> returns
+    requirements  what a rig must see, and the verdict: PASS or FAIL
+    placement     where sensors should sit: region -> cones -> subspaces -> VSR; objectives, solvers, searches
+    capture       packets in files: exported, decoded, replayed
+    io            from and to other tools
+    report        JSON, tables, pictures, HTML pages
+    viewer        the page in a browser, stills, Open3D's window
+    cli           the commands
+
+Below them are `core`, the hot loops in C++, and the modules beside this file: `errors`, `units`, `maths`, `geometry`,
+`futures`, `files`, `inputs`.
+
 `__init__.pyi` lists the public names. Each loads its module on first use, so `import lidarcfg` costs nothing.
 """
 

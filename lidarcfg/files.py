@@ -1,4 +1,4 @@
-"""The files that come with the package, and output files: each is written beside its place, flushed, then renamed.
+"""Files that come with the package; and output files, each written under a temporary name, flushed, then renamed.
 
 So an output is there whole, old or new, whenever the process is killed.
 """

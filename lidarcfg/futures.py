@@ -1,4 +1,4 @@
-"""Jobs that run on threads ahead of their reader."""
+"""Jobs that run on threads, ahead of whoever reads their results."""
 
 from collections import deque
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Limits: of the files that are read, and of the memory and disk that must be free. Checked before the work."""
+"""Limits, checked before the work: the size of files that are read, and the memory and disk space that must be free."""
 
 import errno
 import math

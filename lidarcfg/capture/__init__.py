@@ -1,12 +1,12 @@
 """Captures: files of packets, read and written.
 
-To read in this order. From a capture down to its bytes: `decode` tells the story, `reader` gives the packets of each
-sensor, `sources` says whose they are, `stream` puts them in order; `pcap`, `frames` and `fragments` know the
-files, `selection` leaves out what is not wanted. `scans` cuts the points into revolutions.
+To read in this order. From a capture down to its bytes: `decode` turns a capture into points, `reader` gives the
+packets of each sensor, `sources` says whose they are, `stream` puts them in order; `pcap`, `frames` and `fragments`
+read the files, `selection` skips what is not wanted. `scans` cuts the points into revolutions.
 
 The other way: `export` gives what the sensors of a rig send in a scene, `ground_truth` what each return hit. `manifest`
-says what a capture was made of, and `manifest_writer` writes it. `replay` sends a capture over the network; `emulation`
-finds its sensors that answer drivers meanwhile, on the ports of `services`.
+names the inputs of a capture, and `manifest_writer` writes it. `replay` sends a capture over the network. Meanwhile
+`emulation` answers drivers as the sensors do, on the ports of `services`.
 """
 
 import lazy_loader

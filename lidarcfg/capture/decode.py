@@ -26,7 +26,7 @@ from lidarcfg.sensors.rig import Rig, load_rig
 
 POINT_BYTES = 3  # that a return takes at least in a capture: distance and intensity
 POINTS_AT_FIRST = 1 << 26  # for which a cloud has room, however large its capture
-ROWS = 1 << 14  # points transformed at once: for more, BLAS starts threads of its own
+ROWS = 1 << 14  # points transformed at a time: for more, BLAS starts threads of its own
 
 
 def decode(

@@ -1,6 +1,6 @@
-"""Drivers ask a sensor before they read its packets: answers them as the sensors of a capture do, while it is replayed.
+"""Emulates the sensors of a capture while it is replayed: answers what drivers ask before they read packets.
 
-What is answered is the maker's: `packets/emulator.py` has the interface. Here the sensors of a capture are found that
+The answers are the maker's: `packets/emulator.py` has the interface. This module finds the sensors of a capture that
 can answer; `services` has the sockets.
 """
 
@@ -40,7 +40,7 @@ class EmulatedSensor:
 def find_emulated(
     path: Path, target: str, port: int | None, selection: Selection, on_warning: Callable[[str], None]
 ) -> list[EmulatedSensor]:
-    """The sensors at the beginning of a part of a capture that can answer, when it is sent to a host and port.
+    """The sensors in a part of a capture that can answer drivers while it is sent to a host and port.
 
     Warns of those that cannot. Raises PacketError, ConfigError if none can, or one lacks what it needs for it.
     """
@@ -69,7 +69,7 @@ def find_emulated(
 
 
 def _first_packets(path: Path, sources: Sources, selection: Selection) -> Iterator[tuple[int, Bytes]]:
-    """The sources at the beginning of a part of a capture, and their first packets (P, size)."""
+    """The sources in the beginning of a part of a capture, and their first packets (P, size)."""
     begin_ns, end_ns = window_ns(path, selection)
     first: dict[int, Bytes] = {}
     until_ns = 0

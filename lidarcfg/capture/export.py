@@ -93,7 +93,7 @@ def data_bytes(drive: Drive) -> int:
 
 
 def _check_all(mounts: Sequence[Mount], duration_ns: int) -> None:
-    """Raises ConfigError unless all mounts can be exported: a capture of some would look like one of the whole rig."""
+    """Raises ConfigError unless all mounts can be exported: a capture of some would look like that of the whole rig."""
     for mount in mounts:
         try:
             check_exportable(mount, duration_ns)

@@ -44,11 +44,11 @@ class Reassembly:
         self._settled: dict[bytes, dict[int, bytes] | None] = {}  # the latest, oldest first: their parts; None: damaged
         self._dropped = 0
         self._from_ns = from_ns
-        self.cut = 0  # datagrams of which the capture has only the beginning
+        self.cut = 0  # datagrams whose end the capture does not have
 
     @property
     def incomplete(self) -> int:
-        """How many datagrams were damaged, or miss fragments so far."""
+        """The number of datagrams so far that are damaged or miss fragments."""
         return self._dropped + sum(one.time_ns >= self._from_ns for one in self._pending.values())
 
     def waits_for(self, key: bytes) -> bool:
@@ -83,7 +83,7 @@ class Reassembly:
             del self._settled[next(iter(self._settled))]
 
     def _late(self, fragment: Fragment) -> bool:
-        """Whether it repeats one of a whole datagram, or goes on with a damaged one; a first one begins anew."""
+        """Whether it repeats one of a whole datagram, or continues a damaged one. A first fragment begins anew."""
         if fragment.key not in self._settled or fragment.offset == 0:
             return False
         parts = self._settled[fragment.key]

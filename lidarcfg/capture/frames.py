@@ -64,7 +64,7 @@ class Datagrams:
     data: Bytes
 
     def __getitem__(self, which: NDArray[Any] | slice) -> "Datagrams":
-        """Some of them, in the same data."""
+        """The selected datagrams, as views of the same data."""
         return replace(self, **{key: column[which] for key, column in vars(self).items() if key != "data"})
 
     def payloads(self, size: int) -> Bytes:
@@ -119,7 +119,7 @@ def frames(host: str, payloads: Payloads) -> Frames:
 def _records(
     host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], content: Bytes
 ) -> list[bytes]:
-    """Bytes (n, m) behind Ethernet and IP headers, and UDP's (n,) or none (n, 0), as records of a pcap."""
+    """Pcap records of bytes (n, m) after Ethernet and IP headers, and UDP headers (n,), or none (n, 0)."""
     count, size = content.shape
     parts = [("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP, udp.shape[1:])]
     out = np.zeros(count, [*parts, ("content", "u1", (size,))])
@@ -295,7 +295,7 @@ def _with_fragments(
 
 
 def _joined(begin: bytes, data: Bytes, start: NDArray[np.int64], size: NDArray[np.int64]) -> Bytes:
-    """A beginning and pieces (N,) of the data, concatenated; pieces of one size, as most are, are copied together."""
+    """A beginning and pieces (N,) of the data, concatenated; pieces of one size, as most are, are copied in one go."""
     ends = np.cumsum(np.concatenate([[len(begin)], size]))[1:]
     out = np.empty(len(begin) + int(size.sum()), np.uint8)
     out[: len(begin)] = np.frombuffer(begin, np.uint8)

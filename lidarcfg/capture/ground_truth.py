@@ -1,4 +1,4 @@
-"""The ground truth of a capture: object, exact range and noise of each return; written, and read again."""
+"""The ground truth of a capture: object, exact range and noise of each return; written, and read back."""
 
 import tempfile
 import zipfile
@@ -78,7 +78,7 @@ class TruthFile:
                 raise OSError(error.errno, error.strerror, str(self._path)) from None
 
     def save(self) -> int:
-        """Write the file, whole or not at all, and return the number of records."""
+        """Write the file, complete or not at all; returns the number of records."""
         counts = [body.tell() // RECORD.itemsize for body in self._bodies]
         with replacing(self._path, "wb") as file, zipfile.ZipFile(file, "w") as archive:
             for key, names in self._names.items():

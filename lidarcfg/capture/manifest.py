@@ -1,4 +1,4 @@
-"""The manifest of a capture: a file beside it that names what it was made of, so that it can be decoded as it is."""
+"""The manifest of a capture: a file beside it that names its inputs, so that it can be decoded without naming them."""
 
 import hashlib
 import math
@@ -21,7 +21,7 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory, load_path
 
 SUFFIX = ".yaml"  # appended to the capture's name, so that it differs from a rig of that name
-READ = 1 << 20  # bytes of a file at once
+READ = 1 << 20  # bytes of a file read at a time
 
 
 class FileDigest(Model):
@@ -113,7 +113,7 @@ def read_manifest(path: Path) -> CaptureManifest:
 
 
 def manifest_path(capture: Path) -> Path:
-    """The path of a capture's manifest."""
+    """The path of a capture's manifest, beside it."""
     return capture.with_name(capture.name + SUFFIX)
 
 

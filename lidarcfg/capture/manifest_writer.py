@@ -1,4 +1,4 @@
-"""Writes the manifest of an export: it names the files that were given, and new ones for inputs that are in none."""
+"""Writes the manifest of an export. It names the input files; inputs that are in no file are written to new ones."""
 
 import hashlib
 import os
@@ -55,7 +55,7 @@ class ManifestInputs:
     def of(
         cls, drive: Drive, output: Path, rig: Path | None, scene: Path | None, trajectory: Path | None
     ) -> "ManifestInputs":
-        """The inputs of a drive, of which these files were given."""
+        """The inputs of a drive; some were given as these files."""
         at = drive.trajectory.T_world_start
         moved = None
         if not trajectory:
@@ -68,7 +68,7 @@ class ManifestInputs:
         return cls(files, format_pose(at))
 
     def outdated(self, output: Path) -> list[Path]:
-        """The files of an earlier export beside the output that this one neither writes nor was given."""
+        """Files that an earlier export left beside the output and that this one neither writes nor reads."""
         kept = {os.path.realpath(given) for given in self.files.values() if isinstance(given, Path)}
         if not self._obstacle:
             suffixes = [given.suffix for given in self.files.values() if isinstance(given, SidecarInput)]
@@ -100,7 +100,7 @@ class ManifestInputs:
 
 
 def _rig(rig: Rig, folder: Path) -> SidecarInput | None:
-    """A file of a rig, for a folder, if it says all of it."""
+    """A rig as a file for a folder; None if a file cannot say all of it."""
     with TemporaryDirectory() as scratch:
         path = Path(scratch) / "rig.yaml"
         path.write_text(rig_text(rig), "utf-8")
@@ -112,7 +112,7 @@ def _rig(rig: Rig, folder: Path) -> SidecarInput | None:
 
 
 def _scene(scene: Scene) -> Path | SidecarInput | None:
-    """The file that a scene was loaded from; one of its own if that is another now and the scene names no others."""
+    """The file that the scene was loaded from; a new one if the scene is not that file's and names no files."""
     with suppress(ConfigError):
         if scene.path and load(scene.path, SceneFile) == scene.file:
             return scene.path

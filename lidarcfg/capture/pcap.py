@@ -55,7 +55,7 @@ class _Block(NamedTuple):
     body: bytes
 
     def unpack(self, layout: str, at: int = 0) -> tuple[int, ...]:
-        """Numbers at a place in the body. Raises struct.error."""
+        """The numbers at an offset in the body. Raises struct.error."""
         return struct.unpack_from(self.order + layout, self.body, at)
 
 
@@ -143,9 +143,9 @@ PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
 }
 HEADER = 24  # bytes of a classic pcap before its records
 FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
-BUFFER = 1 << 22  # bytes of a pcap, read at once
+BUFFER = 1 << 22  # bytes of a pcap, read at a time
 SCANNED = 1 << 26  # bytes of a pcap whose headers are read together
-RECORDS = 1000  # of a pcapng, read at once
+RECORDS = 1000  # of a pcapng, read at a time
 EMPTY = 1000  # consecutive empty records, after which the rest of the file counts as damaged
 RECORDS_ALIKE = 32  # consecutive records of one length, after which more are expected
 RECORDS_AHEAD = 1024  # records that are then compared together

@@ -89,7 +89,7 @@ class CaptureReader:
         yield chunk
 
     def stats(self) -> list[SourceStats]:
-        """The figures of the sources of which packets were read."""
+        """The statistics of all sources that packets were read from."""
         return [stream.stats() for stream in self._selected if stream.packets]
 
     def recordings(self) -> list[Recording]:
@@ -130,7 +130,7 @@ class CaptureReader:
                 stream.add(mine.payloads(int(mine.size[0])), mine.time_ns)
 
     def _take(self, last: bool) -> list[Packets]:
-        """The packets that each stream can give now."""
+        """The packets that each stream can release now."""
         streams = [stream for stream in self._selected if last or stream.fresh]
         return [packets for stream in streams if (packets := stream.take(self._sensor_names, last))]
 

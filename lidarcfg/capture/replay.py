@@ -63,7 +63,7 @@ def receiver_address(host: str) -> str:
 
 
 def sender_address(sensor: str, receiver: str) -> str:
-    """The address that a sensor sends from: its own, or to a loopback address, the one with the same last numbers.
+    """The address that a sensor sends from: its own or, to a loopback address, the one with the same last numbers.
 
     Linux has all of these: 127.168.1.201 stands for 192.168.1.201.
     """

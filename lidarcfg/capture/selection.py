@@ -1,4 +1,4 @@
-"""A part of a capture: a window of time, and sensors; only that part of the file is read."""
+"""A part of a capture: a time window and some sensors. Only that part of the file is read."""
 
 import math
 from collections.abc import Callable, Iterator

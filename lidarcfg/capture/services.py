@@ -1,4 +1,4 @@
-"""The ports on which emulated sensors answer. A thread of their own serves them, so that no client delays the packets.
+"""The ports on which emulated sensors answer. A separate thread serves them, so that no client delays the packets.
 
 Clients are not trusted: a request has a greatest size and must end in time, answers must be read, and a port has a
 greatest number of connections.
@@ -19,7 +19,7 @@ from lidarcfg.packets.emulator import RequestError, Service, Target
 
 BEGINNING_MAX = 1 << 14  # bytes that must tell the size of a request
 REQUEST_MAX = 1 << 20  # bytes
-CONNECTIONS_MAX = 64  # of a port at once
+CONNECTIONS_MAX = 64  # open on a port at the same time
 PATIENCE_S = 5.0  # with a client that does not end its request, or does not read its answer
 MESSAGES_MAX = 100  # of a port
 PUSH_S = 1.0  # between two datagrams that nobody asked for
@@ -128,7 +128,7 @@ class _Port:
         return given.data, given.close
 
     def say(self, what: str) -> None:
-        """Print a line about the port, once."""
+        """Print a message about the port, once."""
         if what not in self._said and len(self._said) < MESSAGES_MAX:
             self._said.add(what)
             self._on_message(one_line(f"{self.address}, {self.service.name}: {what}"))
@@ -139,7 +139,7 @@ def _bound(address: str, service: Service, shared: bool = False) -> socket.socke
     stream = service.transport == "tcp"
     opened = socket.socket(socket.AF_INET, socket.SOCK_STREAM if stream else socket.SOCK_DGRAM)
     try:
-        if shared or (stream and sys.platform != "win32"):  # where a port of a closed connection can be taken at once
+        if shared or (stream and sys.platform != "win32"):  # a closed connection would keep its port for a while
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         opened.bind((address, service.port))
         if stream:
@@ -263,7 +263,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._full = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)  # of which Python 3.11 derives none
+        self._transport = cast(asyncio.DatagramTransport, transport)  # Python 3.11's does not derive from it
 
     def pause_writing(self) -> None:
         self._full = True

@@ -50,7 +50,7 @@ class Sources:
         self._at: dict[int, int] = {}  # the first LiDAR's source of an address and port
         self._others: dict[int, str] = {}  # the families of LiDARs' packets that are not the given sensor's, by source
         self._skipped: Counter[int] = Counter()  # how many of these came, by source
-        self.other_sizes: Counter[int] = Counter()  # how many datagrams of which sizes are no LiDAR's
+        self.other_sizes: Counter[int] = Counter()  # datagrams that are no LiDAR's, counted by size
 
     def lidar(self, batch: Datagrams) -> tuple[Datagrams, NDArray[np.uint64]]:
         """The datagrams that hold a LiDAR's returns, and the source of each.
@@ -77,7 +77,7 @@ class Sources:
 
     @property
     def strangers(self) -> Iterator[str]:
-        """Warnings of LiDARs' packets that were skipped, as they are not the given sensor's."""
+        """Warnings about LiDAR packets that were skipped because they are not the given sensor's."""
         for key, count in sorted(self._skipped.items()):
             given = self._given(key)
             assert given

@@ -1,4 +1,4 @@
-"""The packets of one sensor: put in order, without duplicates and damaged ones, counted."""
+"""The packets of one sensor: sorted by its clock, duplicates and damaged ones dropped, lost ones counted."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -107,7 +107,7 @@ class Stream:
         return Packets(self._sender, sensor_names, decoder, packets, times_ns, device_ns, wanted)
 
     def _count_lost(self, decoder: Decoder, packets: Bytes, device_ns: Times, wanted: Flags, stop: int) -> None:
-        """Count the wanted of the first `stop` packets, and the lost ones. One that comes too late had counted as lost.
+        """Count the wanted among the first `stop` packets, and the lost ones. A late one was already counted as lost.
 
         Decoders compare a packet with the newest before it, so that nothing counts as lost twice.
         """
@@ -129,7 +129,7 @@ class Stream:
         decoder.count(packets[~late], wanted[~late])
 
     def _sound(self, decoder: Decoder, packets: Bytes) -> Flags | slice:
-        """Which packets are undamaged; counts the others. Raises PacketError unless most are undamaged."""
+        """Which packets are undamaged; counts the damaged ones. Raises PacketError if most are damaged."""
         try:
             decoder.check(packets)
         except PacketError:
@@ -178,7 +178,7 @@ class Stream:
         return self._count["packets"]
 
     def stats(self) -> SourceStats:
-        """The figures so far."""
+        """The statistics so far."""
         assert self._decoder is not None
         statistics = self._decoder.statistics()
         return SourceStats(

@@ -1,6 +1,6 @@
 """The command line.
 
-To read in this order: `main` has the help page and the exit codes. A module for each command reads its inputs, makes
-one library call and prints one table; `files` has the commands that write and check files, with its
-`schemas`. All share `options`, `completion` and `progress`.
+To read in this order: `main` has the help page and the exit codes. Each command has a module of its name, which reads
+the inputs, makes one library call and prints one table; only `init`, `validate` and `schema` share a module, `files`,
+with the JSON Schemas in `schemas`. All use `options`, `completion` and `progress`.
 """

@@ -1,4 +1,4 @@
-"""lidarcfg completion: the script that a shell needs; and what it completes of sensors' and mounts' names."""
+"""lidarcfg completion: the script for the shell; and the completion of sensors' and mounts' names."""
 
 import os
 from pathlib import Path
@@ -46,8 +46,8 @@ def _own_shell() -> str:
 def completion(shell: str) -> None:
     """Print the script for TAB completion in a shell.
 
-    The script completes commands, options, sensor names and files. For bash or zsh, add the first line of the
-    examples, with the shell's name, to ~/.bashrc or ~/.zshrc.
+    The script completes commands, options, sensor names and files. For bash or zsh, add the first example,
+    with the shell's name, to ~/.bashrc or ~/.zshrc.
     """
     command = click.get_current_context().find_root().command
     kind = get_completion_class(shell)

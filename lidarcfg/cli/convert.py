@@ -1,4 +1,4 @@
-"""lidarcfg convert: rigs, clouds and captures in the formats of other tools, and rigs from these."""
+"""lidarcfg convert: rigs, clouds and captures to the formats of other tools, and other tools' rigs to ours."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     multiple=True,
     metavar="[NAME=]MODEL",
     shell_complete=complete_model,
-    help="What a kit's frame NAME is, or all that are not guessed: a model, a YAML file, or none. Of a capture: the "
-    "model, whatever the packets say. May be repeated.",
+    help="For a kit, the model of its frame NAME, or of all frames whose model cannot be guessed: a name, a YAML file, "
+    "or none. For a capture, the model, whatever the packets say. May be repeated.",
 )
 @cloup.option(
     "--vehicle",

@@ -271,7 +271,7 @@ def _export_points(
     if deskew and form.name not in formats.CLOUDS:
         raise click.UsageError(f"--deskew is for {', '.join(formats.CLOUDS)}")
     warnings = [
-        f"{mount.name}: {mount.sensor.name} has no firing facts; all lasers fire at once, every {FIRING.step_deg:g} deg"
+        f"{mount.name}: {mount.sensor.name} has no firing facts; all lasers fire together every {FIRING.step_deg:g} deg"
         for mount in drive.rig.mounts
         if not mount.sensor.fires
     ]

@@ -15,7 +15,7 @@ from lidarcfg.errors import ConfigError, LidarcfgError, SceneError, one_line
 from lidarcfg.files import replacing, shipped
 
 KINDS = ("study", "rig", "scene", "sensor")
-CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle of which no mesh is known
+CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
 
 
 def vehicles() -> dict[str, Path]:
@@ -169,7 +169,7 @@ def validate(files: tuple[Path, ...], quiet: bool) -> None:
       lidarcfg schema study -o out/study.schema.json
     """
 )
-@cloup.argument("kind", type=click.Choice(SCHEMAS), metavar="KIND", help=f"Of file: {', '.join(SCHEMAS)}.")
+@cloup.argument("kind", type=click.Choice(SCHEMAS), metavar="KIND", help=f"The kind: {', '.join(SCHEMAS)}.")
 @cloup.option("-o", "--output", type=FILE, metavar="FILE", help="Where to write it.  [default: standard output]")
 def schema(kind: str, output: Path | None) -> None:
     """Print the JSON Schema of a kind of file.

@@ -27,7 +27,7 @@ from lidarcfg.cli.view import view
 from lidarcfg.errors import ConfigError, LidarcfgError, one_line, reason
 from lidarcfg.inputs import LIBRARIES_BYTES, check_memory, is_out_of_memory, out_of_memory
 
-OBJECTS_BETWEEN_COLLECTIONS = 200_000  # at 700 a tenth of a start is spent on garbage, of which imports make little
+OBJECTS_BETWEEN_COLLECTIONS = 200_000  # at 700, a tenth of a start is spent on collections that find little garbage
 MEANT = {  # what other programs call our options
     "--time": ("--seconds", "--duration"),
     "--timeout": ("--seconds",),
@@ -104,13 +104,13 @@ def _format_error(error: Exception, doing: str) -> str:
 
 
 def _meant(error: click.NoSuchOption) -> list[str]:
-    """The command's options that other programs call so."""
+    """The command's options that other programs call by this name."""
     known = {option for one in error.ctx.command.params for option in one.opts} if error.ctx else set[str]()
     return [one for one in MEANT.get(error.option_name, ()) if one in known]
 
 
 def _check_environment() -> None:
-    """Raises LidarcfgError for what libraries would raise ValueError for, or hang, as they are imported."""
+    """Raises LidarcfgError for an environment in which libraries would fail or hang on import."""
     if not {"-h", "--help", "--version"} & set(sys.argv):
         check_memory("any command", 0.0, reserved=LIBRARIES_BYTES)
     os.environ["MPLBACKEND"] = "agg"  # for all commands; matplotlib would reject an unknown backend
@@ -154,7 +154,7 @@ def _command_path(error: click.ClickException) -> str:
 def cli(context: click.Context) -> None:
     """Where should the LiDARs sit on this vehicle, and what will they see?
 
-    A study says which sensors may sit where; `optimize` finds the rig, that is the poses from which they see best.
+    A study says which sensors may sit where; `optimize` finds the rig: the poses from which they see best.
     `export` simulates a rig in a scene and writes the packets that the real sensors would send. `decode` turns such
     a capture, or a recorded one, into a point cloud. Studies, rigs, scenes and sensors are YAML files.
     """

@@ -60,7 +60,7 @@ QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on th
     cloup.option(
         "--scheduler",
         metavar="ADDRESS",
-        help="The Dask scheduler of a cluster, tcp://HOST:PORT, to search combinations for the cheapest rig on.",
+        help="The Dask scheduler of a cluster, tcp://HOST:PORT, on which to search for the cheapest rig.",
     ),
     cloup.option("--resume", type=FILE, metavar="DIR", help="Continue the search whose results are in DIR."),
 )
@@ -90,17 +90,17 @@ def optimize(
 ) -> None:
     """Find the poses that meet requirements, or minimise max VSR.
 
-    If the study has requirements, the rig meets them if one is found that does; then its objective is as small as can
-    be, or without an objective the least margin as large. The plain rigs that an engineer would try come first. Exits
-    with 3 where a requirement is not met: the rig that comes closest is written all the same.
+    If the study has requirements, the search first looks for a rig that meets them. Among those that do, it minimises
+    the objective or, without one, maximises the smallest margin. It begins with the plain rigs that an engineer would
+    try. If a requirement is not met, the rig that comes closest is still written, and the command exits with 3.
 
     Ctrl-C ends the search and keeps the best rig found. rig.yaml and search.npz are updated every few seconds, so
     --resume can continue even a search that was killed.
 
     If the study lets sensors be chosen (`choose`), the result is a front: the rigs that no other rig beats in both
     price and objective. front.html shows them, and points/ has a folder for each. All combinations share the budget.
-    With requirements it is the cheapest rig that meets all of them, and combinations.csv says how long each cheaper
-    combination was searched, and how short it fell.
+    With requirements, the result is instead the cheapest rig that meets all of them; combinations.csv says how long
+    each cheaper combination was searched, and by how much it fell short.
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")

@@ -141,7 +141,7 @@ def warn(message: str) -> None:
 
 
 def warn_of(vehicle: "Vehicle | None") -> None:
-    """Print the warnings about a vehicle's meshes."""
+    """Print the warnings about the meshes of a vehicle."""
     for message in vehicle.warnings if vehicle else ():
         warn(message)
 

@@ -1,4 +1,4 @@
-"""How far a command is, a bar on a terminal and lines in a log; and the signals that end it, such as Ctrl-C."""
+"""The progress of a command: a bar on a terminal, or lines in a log; and the signals that end it, such as Ctrl-C."""
 
 import os
 import signal
@@ -92,12 +92,12 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def take(self) -> None:
-        """Go on: a search was interrupted, and its result is there."""
+        """Continue after an interrupt that ended a search: its result is there."""
         self._came = False
         self.raised = False
 
     def finish(self) -> None:
-        """Ignore signals from now on: all is done."""
+        """Ignore signals from now on: the work is done."""
         self._done = True
 
     def end(self) -> NoReturn:
@@ -170,7 +170,7 @@ class Pace:
         self._updates = deque[tuple[float, float]]()  # seconds of work, and the fraction done by then
 
     def left_s(self, worked_s: float, fraction: float) -> float | None:
-        """What the rest takes after this update; None: that cannot be known yet."""
+        """The time left after this update, in seconds; None: not known yet."""
         updates = self._updates
         if not updates or worked_s - updates[-1][0] >= THIN_S:
             updates.append((worked_s, fraction))

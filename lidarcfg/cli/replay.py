@@ -74,8 +74,8 @@ def replay(
 ) -> None:
     """Send a capture's datagrams to a host, to test a driver live.
 
-    The datagrams keep the pace of the recording, times --speed. Each sensor's come from its own address if this machine
-    has that; to 127.0.0.1 on Linux from 127.168.1.201 for 192.168.1.201.
+    The datagrams keep the pace of the recording, times --speed. Those of each sensor come from the sensor's own address
+    if this machine has it. On Linux, those that 192.168.1.201 sends to 127.0.0.1 come from 127.168.1.201.
     """
     from contextlib import ExitStack
 

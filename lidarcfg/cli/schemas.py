@@ -1,4 +1,4 @@
-"""JSON Schemas of our files, made from the models that read them, with which editors complete keys and mark mistakes.
+"""JSON Schemas of our files, made from the models that read them. Editors use them to complete keys and mark mistakes.
 
 They do not express rules about several keys, such as that one of two is given; `lidarcfg validate` checks those.
 """

@@ -16,7 +16,7 @@ from lidarcfg.errors import ConfigError
 
 if TYPE_CHECKING:
     from lidarcfg.placement.plan import Plan, SweepCase
-    from lidarcfg.placement.sweep import Outcome, Workers
+    from lidarcfg.placement.sweep import RunResult, Workers
     from lidarcfg.report.sweep import SweepFolder
 
 
@@ -49,7 +49,7 @@ class WorkerOptions:
     ),
     cloup.option("--scheduler", metavar="ADDRESS", help="The Dask scheduler of a cluster: tcp://HOST:PORT."),
 )
-@cloup.option("--dry-run", is_flag=True, help="Only print the number of runs and about how long they take.")
+@cloup.option("--dry-run", is_flag=True, help="Only print the number of runs and an estimate of their time.")
 @cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for the results.  [default: out/PLAN]")
 @quiet_option
 def sweep(
@@ -99,7 +99,7 @@ def _processors() -> int:
 def _run_missing(
     plan: "Plan", runs: list["SweepCase"], kept: "SweepFolder", options: WorkerOptions, quiet: bool
 ) -> int:
-    """Do the runs, and keep what comes of them; returns how many have no rig."""
+    """Do the missing runs and save their results; returns how many found no rig."""
     from lidarcfg.placement.sweep import sweep
 
     failed = 0
@@ -110,7 +110,7 @@ def _run_missing(
             what = f"{finished} of {len(plan.runs)} runs" + (f", {failed} without a rig" if failed else "")
             on_progress(finished / len(plan.runs), what)
 
-        def done(run: "SweepCase", outcome: "Outcome") -> None:
+        def done(run: "SweepCase", outcome: "RunResult") -> None:
             nonlocal failed, finished
             kept.save(run, outcome)
             failed += outcome.rig is None
@@ -127,7 +127,7 @@ def _run_missing(
 
 
 def _estimate(plan: "Plan", runs: list["SweepCase"], options: WorkerOptions, quiet: bool) -> None:
-    """Print about how long some runs of a plan take."""
+    """Print an estimate of how long some runs of a plan take."""
     from lidarcfg.placement.sweep import Pace, pace, size
 
     workers = options.workers()

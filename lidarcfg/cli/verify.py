@@ -24,7 +24,7 @@ NOT_MET = 3  # the exit code if a requirement is not met
 @cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
 @cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for verdict.html and verdict.json.")
 @cloup.option("--against", type=FILE, metavar="RIG", help="Say what is better and worse than with this rig.")
-@cloup.option("--junit", type=FILE, metavar="FILE", help="Write the verdict as JUnit's XML, for CI.")
+@cloup.option("--junit", type=FILE, metavar="FILE", help="Write the verdict as JUnit XML, for CI.")
 @json_option
 @quiet_option
 @click.pass_context

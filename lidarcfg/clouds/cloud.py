@@ -44,7 +44,7 @@ OBJECT_ROW = [("object", "<i4")]
 PLY_TYPES = {np.dtype("<f8"): "double", np.dtype("<i4"): "int", np.dtype("u1"): "uchar"}
 UNPACKED_MIN = 1 << 26  # bytes
 UNPACKED_RATIO = 20  # times the archive's size: real arrays hardly compress
-UNPACKED_COPIES = 3  # of the arrays, in memory at once
+UNPACKED_COPIES = 3  # of the arrays, in memory at the same time
 FILE_COPIES = 4  # of a PLY or PCD file
 XYZ_BYTES = 2 * np.dtype(FIELDS["xyz"]).itemsize  # beyond x
 XYZ_MAX_M = np.float64(1e9)
@@ -74,7 +74,7 @@ class PointCloud:
 
     @classmethod
     def none(cls, sensor_names: tuple[str, ...]) -> "PointCloud":
-        """No points of these sensors."""
+        """An empty cloud of these sensors."""
         columns: dict[str, Any] = {key: np.empty((0, 3) if key == "xyz" else 0, kind) for key, kind in FIELDS.items()}
         return cls(sensor_names=sensor_names, **columns)
 
@@ -128,7 +128,7 @@ def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
 
 
 def gather(clouds: Iterable[PointCloud], points: int) -> PointCloud:
-    """The fields of clouds, of about so many points in all, as one; each may be let go before the next comes.
+    """The clouds as one, of about this many `points` in all. Each may be released before the next is taken.
 
     Memory that is not filled is given back. Sensors of the same name are the same sensor.
     """
@@ -150,7 +150,7 @@ def gather(clouds: Iterable[PointCloud], points: int) -> PointCloud:
 
 
 def _resize(columns: Mapping[str, NDArray[Any]], rows: int) -> None:
-    """Make arrays that nobody else knows longer or shorter, where they are if memory allows."""
+    """Lengthen or shorten arrays without other references, in place if memory allows."""
     for column in columns.values():
         column.resize((rows, *column.shape[1:]), refcheck=False)
 
@@ -291,7 +291,7 @@ def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty:
 
 
 def read_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
-    """Those of the named arrays that a .npz holds. Raises CloudError."""
+    """The arrays of these names that a .npz holds. Raises CloudError."""
     try:
         size = check_regular(path)
         with open(path, "rb") as file:

@@ -1,4 +1,4 @@
-"""LAS 1.4 and LAZ, by laspy: our clouds in point format 6, with extra dimensions; and the files of anyone.
+"""LAS 1.4 and LAZ, by laspy: writes our clouds in point format 6 with extra dimensions; reads any program's files.
 
 The extra dimensions are ring, sensor and return type. Times are GPS time: seconds since 1980-01-06 including leap
 seconds, minus 10^9.
@@ -222,7 +222,7 @@ def read_xyz(path: Path, most: int) -> Array:
 
 
 def check_header(path: Path) -> None:
-    """Raises ValueError for numbers that laspy and lazrs would take at their word.
+    """Raises ValueError for sizes in the header that laspy and lazrs would trust.
 
     laspy would look for as many VLRs as are announced; lazrs would allocate memory for as many chunks, and end the
     process, and panic where the items of a point do not add up to its size.
@@ -274,14 +274,14 @@ def libraries() -> tuple[Any, Any]:
 
 
 def gps_seconds(time_ns: NDArray[np.int64]) -> Array:
-    """Adjusted standard GPS time of times in ns since 1970, UTC: to 30 ns until 2028, the resolution of float64."""
+    """(N,) adjusted standard GPS times of times (N,) in ns since 1970, UTC; to 30 ns until 2028, by float64."""
     whole_s, rest_ns = np.divmod(time_ns, SECOND_NS)
     leaps = np.searchsorted(LEAPS_S, whole_s, side="right")
     return np.asarray(whole_s - SHIFT_S + leaps + rest_ns / SECOND_NS)
 
 
 def unix_ns(gps_s: Array) -> NDArray[np.int64]:
-    """Times in ns since 1970, UTC, of adjusted standard GPS times."""
+    """(N,) times in ns since 1970, UTC, of adjusted standard GPS times (N,)."""
     floor_s = np.floor(gps_s)
     whole_s = floor_s.astype(np.int64) + SHIFT_S
     whole_s -= np.searchsorted(COUNTED_S, whole_s, side="right")

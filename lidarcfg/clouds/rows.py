@@ -1,4 +1,4 @@
-"""PLY and PCD files, whoever wrote them, as the columns of a cloud: read by plyfile and pypcd4."""
+"""Reads PLY and PCD files, ours or another program's, into the columns of a cloud; by plyfile and pypcd4."""
 
 import json
 import struct
@@ -195,7 +195,7 @@ def _nanoseconds(source: str, name: str, column: Column, remarks: list[str]) -> 
 
 
 def _intensity(source: str, name: str, column: Column, remarks: list[str]) -> Column:
-    """0 to 255 as it is, rounded; fractions of 1, and what goes beyond 0 to 255, scaled to that."""
+    """Intensities from 0 to 255: rounded if they are within that; fractions of 1, and others beyond it, are scaled."""
     values: Array = column.astype(np.float64)
     if not np.isfinite(values).all():
         raise CloudError(f"{source}: {name} is not finite")
@@ -212,7 +212,7 @@ def _intensity(source: str, name: str, column: Column, remarks: list[str]) -> Co
 
 
 def _whole(source: str, name: str, column: Column) -> Column:
-    """Integers, which other programs write as floats."""
+    """Integers, also where another program wrote them as floats."""
     if column.dtype.kind != "f":
         return column
     if not (np.isfinite(column).all() and (abs(column) <= WHOLE_MAX).all() and (column % 1 == 0).all()):

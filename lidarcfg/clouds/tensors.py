@@ -1,4 +1,4 @@
-"""Points from and to Open3D's tensors, with all attributes."""
+"""Clouds from and to Open3D's tensors, with all attributes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any

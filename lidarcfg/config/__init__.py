@@ -1,7 +1,7 @@
 """Our YAML files: strict models whose errors name file, line and key.
 
 To read in this order: `document` reads YAML 1.2 with line numbers, `models` checks it against a pydantic model, `kinds`
-tells our files apart.
+tells which kind a file is.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""A YAML file as plain values, each with its line and column: strict, and of a limited size; and values as its text.
+"""YAML, read strictly and up to a size limit, as plain values with lines and columns; and values written as YAML.
 
 YAML 1.2 core schema (so `1e-05` is a number and `on` is a text), read with PyYAML's composer, which keeps line
 numbers. Errors: repeated keys, NaN, infinities, and tags outside the core schema. PyYAML itself reads and writes YAML

@@ -1,4 +1,4 @@
-"""The kinds of our YAML files, told apart by their keys; and what other programs' files are, by suffix."""
+"""The kinds of files: our YAML files, told apart by their keys, and other programs' files, by suffix."""
 
 from collections.abc import Mapping
 from typing import Any

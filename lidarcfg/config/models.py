@@ -89,7 +89,7 @@ def validation_error(what: str, *at: str | int) -> PydanticCustomError:
 
 
 def with_faults(faults: Sequence[PydanticCustomError], data: Any, handler: Callable[[Any], M]) -> M:
-    """A model's wrap validator: the faults that it found itself, together with those of the model's fields."""
+    """A model's wrap validator: raises the faults that it found itself, together with those of the model's fields."""
     details = [InitErrorDetails(type=fault, input=data) for fault in faults]
     try:
         made = handler(data)
@@ -149,7 +149,7 @@ def load_keys(path: str | Path) -> dict[str, Any]:
 
 
 def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
-    """The error `what` at a key of a loaded file, for checks that no single model can do."""
+    """The error `what` at a key of a loaded file, for checks across several models."""
     return all_errors_at(path, [(key, what)])[0]
 
 
@@ -221,7 +221,7 @@ def checked(document: Document, model: type[M]) -> M:
 
 
 def _all_errors(document: Document, error: ValidationError, model: type[Model], above: Key = ()) -> ConfigError:
-    """The errors in the file, by their places, those of missing keys last; `above` is the model's key in it."""
+    """The errors in the file, sorted by place, missing keys last; `above` is the model's key in the file."""
     errors = error.errors(include_url=False)
     keys = [_key(item) for item in errors]
     # pydantic also calls a list too short if one of its items is wrong: report the item only
@@ -272,7 +272,7 @@ def _message(item: Any, model: type[Model]) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value as YAML writes it; of a map or a list only what it is."""
+    """A value as YAML writes it; of a map or a list only its kind."""
     if isinstance(value, dict | tuple):
         return "a map" if isinstance(value, dict) else f"a list of {len(value)}"
     if value is None or isinstance(value, bool):

@@ -1,10 +1,10 @@
 """From and to other tools: rigs, clouds, captures and drives in their formats.
 
-To read in this order: `formats` lists them and converts; `export` is a simulation in one call; `drive_dataset` a drive
-with its ground truth, as data sets have it. Each of the others is a format: of rigs `urdf`, `carla`, `launch`; of ROS
-`bag`, with `messages`; of data sets `kitti` and `nuscenes`; of recordings `firings`, with `repack`.
-`kits` reads rigs from others' formats, and `bag_reader` bags; `packet_bag` makes a capture of a driver's packets;
-`self_filter` cuts a vehicle's own body away.
+To read in this order: `formats` lists the formats and converts; `export` is a simulation in one call; `drive_dataset`
+is a drive with its ground truth, for data sets. Most others are a format each: `urdf`, `carla` and `launch` for rigs;
+`bag` for ROS, with `messages`; `kitti` and `nuscenes` for data sets; `firings` for recordings, with `repack`.
+`kits` reads rigs from other tools' formats, `bag_reader` reads bags, `packet_bag` turns a driver's packets in a bag
+into a capture, and `self_filter` writes filters that cut away the vehicle's own body.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""ROS bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses; of a drive also the truth.
+"""ROS bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses; for a drive also ground truth.
 
 Points are laid out as the maker's driver has them, by the `point_fields` of their family, with nothing between the
 fields. The message's stamp is the time of the scan's first point.
@@ -53,7 +53,7 @@ def save_mcap(path: Path, source: Path, rig: Rig | None, model: str | None, on_w
 
 
 def write_bag(path: Path, storage: str, made: MessageSource) -> int:
-    """Write messages as a bag, whole or not at all, and return their number."""
+    """Write messages as a bag, whole or not at all, and return their number. Raises ConversionError, OSError."""
     if storage == "ros1":
         return _write_file(path, lambda aside: (_write(aside / path.name, storage, made), aside / path.name))
     whole = Path(os.path.realpath(resolve(path)))

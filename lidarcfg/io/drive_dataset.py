@@ -26,7 +26,7 @@ OnWarning = Callable[[str], None]
 
 @dataclass(frozen=True)
 class DriveDataset:
-    """Scans of single sensors, in the frame of the sensor, in the order of time; points know their objects, or none."""
+    """Scans of single sensors in time order, in the sensor's frame; points have objects if these are known."""
 
     drive: Drive
     scans: Iterable[PointCloud]
@@ -74,7 +74,7 @@ def stamp_ns(scan: PointCloud) -> int:
 
 
 def hits(scan: PointCloud) -> NDArray[np.int32]:
-    """(N,): the scene's objects that points are on; beyond those, what is the vehicle's."""
+    """(N,): the numbers of the objects that points are on: the scene's first, then the vehicle's bodies."""
     assert scan.object is not None
     return scan.object
 

@@ -63,7 +63,7 @@ class Source:
     found: Measurements
 
     def packets(self) -> Bytes:
-        """(P, size): what its firings make, whatever limits of range exports keep."""
+        """(P, size): its firings encoded, without the range limits of exports."""
         sensor = self.sensor
         if sensor.range:
             sensor = sensor.model_copy(update={"range": sensor.range.model_copy(update={"reported": ANY_RANGE})})
@@ -151,7 +151,7 @@ def is_firings(path: Path) -> bool:
 
 
 def _columns(one: Source, recorded: Bytes) -> dict[str, NDArray[Any]]:
-    """The columns of a source, and what of its packets (P, size) they do not say."""
+    """The columns of a source, and the bytes of its packets (P, size) that they do not determine."""
     made = one.packets().ravel()
     rest_at = np.flatnonzero(made != recorded.ravel())
     fired = one.found.batch.firings

@@ -1,4 +1,4 @@
-"""The formats, what converts to what, and the conversion."""
+"""The formats: which kinds of input convert to which, and the conversion."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -94,7 +94,7 @@ def choose_format(source: Path, output: Path, name: str | None) -> Format:
 
 
 def format_of(kind: Kind, output: Path, name: str | None) -> Format:
-    """The format for an input of a known kind."""
+    """The format for an input of a known kind. Raises ConversionError."""
     formats = [form for form in FORMATS if form.kind == kind]
     if name:
         for form in formats:

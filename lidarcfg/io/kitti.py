@@ -27,7 +27,7 @@ from lidarcfg.world.scene_file import DATASET_NAMES, OUTLIER
 FULL = 255  # the intensity that is a reflectance of 1
 WARNING_M = 1e-4  # float32 rounding beyond that is worth a warning
 CHUNK = 1 << 20  # points
-FILE_COPIES = 8  # of a file, in memory at once
+FILE_COPIES = 8  # of a file, in memory at the same time
 LACKS = ("ring", "time_ns", "sensor", "return_type")
 CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # T_camera_lidar: x right, y down
 K = np.array([[721.5377, 0, 609.5593], [0, 721.5377, 172.854], [0, 0, 1]])  # of KITTI's image_2, 2011-09-26

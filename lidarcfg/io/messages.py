@@ -150,7 +150,7 @@ class Messages:
 
 
 def _column(scan: PointCloud, name: str, stamp_ns: int) -> NDArray[Any]:
-    """What `PointField.column` calls so."""
+    """The column that a `PointField` names."""
     if name in AXES:
         return scan.xyz[:, AXES.index(name)]
     if name == "time_s":

@@ -286,7 +286,7 @@ def _category(name: str | None) -> str:
 
 
 def _attributes(one: BoxedObject) -> list[str]:
-    """One, of those categories that have any."""
+    """An attribute, for the categories that have any."""
     name = _category(one.category)
     pair = next((pair for start, pair in ATTRIBUTES.items() if name.startswith(start)), None)
     return [] if pair is None else [pair[0] if one.path and not one.path.is_static else pair[1]]

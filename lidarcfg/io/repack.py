@@ -1,4 +1,4 @@
-"""The bytes of a pcap or pcapng, and the packets that are cut out of it, whole or in IP fragments."""
+"""Takes a capture apart, into its sensors' packets and all other bytes, and puts it together again, byte for byte."""
 
 import struct
 from collections import defaultdict
@@ -80,7 +80,7 @@ class Records:
             )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays for a file: the bytes without those of taken packets, and the places of these."""
+        """The arrays for a file: all bytes but the taken packets, and where those belong."""
         cuts = np.array(sorted(self.cuts), np.int64).reshape(-1, len(CUTS))
         starts = cuts[:, 0]
         sizes = cuts[:, 4]
@@ -123,16 +123,16 @@ def read_records(path: Path) -> Records:
     except OSError as error:
         raise PacketError.from_os(path, error) from None
     reassembly = Reassembly()
-    waiting = defaultdict[bytes, list[_Found]](list)
+    waiting = defaultdict[bytes, list[_IpPart]](list)
     datagrams = defaultdict[Endpoint, list[Datagram]](list)
     for time_ns, ip, length, end, part, head in _rows(data, str(path)):
         start = ip + length
         body = data[start : ip + end]
         host = ".".join(map(str, head["source"]))
-        found_here = [_Found(start, 0, length, body)]
+        found_here = [_IpPart(start, 0, length, body)]
         if part:
             one = fragment(time_ns, head, body)
-            waiting[one.key].append(_Found(start, one.offset, length, body))
+            waiting[one.key].append(_IpPart(start, one.offset, length, body))
             whole = reassembly.add(one)
             if whole is None:
                 continue
@@ -153,7 +153,7 @@ def _rows(data: bytes, name: str) -> Iterator[tuple[int, int, int, int, bool, An
         yield from zip(*(column[keep].tolist() for column in columns), found.head[keep], strict=True)
 
 
-class _Found(NamedTuple):
+class _IpPart(NamedTuple):
     """The part of a UDP datagram in one IP packet."""
 
     at: int  # in the file
@@ -166,7 +166,7 @@ class _Found(NamedTuple):
         return datagram[self.first : self.first + len(self.content)] == self.content
 
 
-def _datagram(data: bytes, time_ns: int, body: bytes, found: list[_Found]) -> Datagram:
+def _datagram(data: bytes, time_ns: int, body: bytes, found: list[_IpPart]) -> Datagram:
     """The datagram of a UDP header with its payload, whose pieces were found in the file."""
     payload = body[UDP.itemsize :]
     parts = list[Segment]()

@@ -1,4 +1,4 @@
-"""What cuts a vehicle's own body away: a box around it for Autoware, and each sensor's field of view that misses it."""
+"""Filters that cut away the vehicle's own body: a crop box for Autoware, and for each sensor an azimuth window."""
 
 import json
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def crop_box(bodies: Vehicle) -> str:
 
 
 def azimuth_windows(rig: Rig, bodies: Vehicle, on_warning: Callable[[str], None]) -> str:
-    """The field of view of each sensor in which no beam meets the body, as JSON; an Ouster's also as its own setting.
+    """The azimuth window of each sensor in which no beam meets the body, as JSON; for an Ouster also its own setting.
 
     Raises ConversionError if beams of every sensor meet the body all around.
     """

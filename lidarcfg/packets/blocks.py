@@ -45,7 +45,7 @@ def decode(
     kind: Bytes,
     polar: bool,
 ) -> Returns:
-    """The returns of the wanted ones (P,) of successive packets (P, size); the others only say how the head turns.
+    """The returns of the wanted (P,) among successive packets (P, size); the others only give the head's motion.
 
     `gap_ns` (P - 1,) are the times between stamps (P,), and `kind` (P,) the types of single returns. Without `polar`,
     ranges and azimuths are empty.
@@ -55,5 +55,5 @@ def decode(
 
 
 def by_packet(values: NDArray[Any], packets: int, dtype: type[D]) -> NDArray[D]:
-    """The values in the order of packets as a contiguous matrix, a row a packet."""
+    """(P, n) the values in the order of packets, a row for each packet; contiguous."""
     return np.ascontiguousarray(values, dtype).reshape(packets, -1)

@@ -161,7 +161,7 @@ class Decoder(Protocol):
         """(P,) where the head points at the start of each, clockwise."""
 
     def check(self, packets: Bytes) -> None:
-        """Raises PacketError for packets of another model than the first ones."""
+        """Raises PacketError for packets (P, size) of another model than the first ones."""
         return
 
     def sound(self, packets: Bytes) -> Flags:
@@ -181,7 +181,7 @@ class Decoder(Protocol):
         """
 
     def driver_columns(self, packets: Bytes, wanted: Flags) -> Mapping[str, NDArray[Any]]:
-        """The columns of the family's `point_fields` that clouds do not have, for the same returns."""
+        """The columns (N,) of the family's `point_fields` that clouds do not have, of the same returns as `decode`."""
         return {}
 
 
@@ -237,7 +237,7 @@ class Codec(Timing, Protocol):
         """Which of the family's known sensors sends these packets (P, size). Raises PacketError."""
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        """The decoder for a source that begins with these packets. If `trusted`, they must be the sensor's.
+        """The decoder for a source that begins with these packets (P, size). If `trusted`, they must be the sensor's.
 
         Raises PacketError.
         """

@@ -1,4 +1,4 @@
-"""The facts of packets in a sensor's file that several makers share: firing times, network headers."""
+"""Facts about packets that the sensor files of several makers share: firing times, network headers."""
 
 import ipaddress
 from dataclasses import dataclass

@@ -1,6 +1,7 @@
-"""The registry of the families of packets: which codec a sensor has, and when its lasers fire.
+"""The registry of packet families: which codec a sensor has, and when its lasers fire.
 
-The only module that names the makers; what is above asks it for a sensor's codec, timing or pattern.
+The only module that names the makers; simulation, placement and captures ask it for a sensor's codec, timing or
+pattern.
 """
 
 from importlib import import_module

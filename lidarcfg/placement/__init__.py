@@ -6,20 +6,21 @@ The paper in two calls, each a page to read:
     rig = place(study)  # a solver proposes rigs; the one with the least cost is kept
     max_vsr(study.region, rig_lidars(rig))  # region -> cones -> labels -> subspaces -> VSR
 
-`max_vsr` is in `metric`, `place` in `optimize`. To read in this order: `region` cuts the space around the vehicle into
-cuboids; `cones` says between which beams of a LiDAR a point lies; `visibility` what it does not see; `subspace`
-connects neighbouring cuboids of the same label; `metric` has their volume to surface;
-`solvers` minimise over a unit cube; `evaluator` says what many rigs cost; `search_run` is a search in progress, which
-`optimize` runs to its end, a `batch` of trials at a time. `evaluation` says everything of one rig, `report_inputs`
-what a report shows besides. `study_file`, `slots` and `study` read a study, and `checks` warns of what looks wrong in
-it.
+`max_vsr` is in `metric`, `place` in `optimize`. To read in this order. The measure: `region` cuts the space around the
+vehicle into cuboids; `cones` finds between which beams of a LiDAR a point lies, `visibility` what the LiDAR cannot see;
+`subspace` connects neighbouring cuboids of the same label; `metric` computes the volume-to-surface ratio of each
+subspace. The search: `study_file`, `slots` and `study` read a study, `checks` warns about what looks wrong in it;
+`solvers` minimise over a unit cube; `evaluator` computes the costs of a `batch` of trials; `search_run` is a search in
+progress, which `optimize` runs to its end. The result: `evaluation` judges one rig, `report_inputs` adds what only a
+report shows.
 
-Beyond the paper: `objective` has the terms that may be minimised, `zones` what weighs more, `detection`,
-`return_counts` and `blind_spots` what becomes of objects; `study_evaluator` what failures and mounts that are off
-cost; `surfaces` where on a body sensors may sit; `analytic` and `boundaries` the error of the measure;
-`combinations` and `front` which sensors for which money; `plan` and `sweep` many searches. By requirements:
-`plain_rigs` are tried first, `requirements_search` has the costs and the search, `cheapest` with
-`symmetry` the cheapest rig, and `achievable` what none can meet.
+Beyond the paper: `objective` has the terms that may be minimised, `zones` weigh parts of the region, `detection` and
+`return_counts` compute how often objects are detected, `blind_spots` what no LiDAR sees; `study_evaluator` takes
+failures and mounting errors into account; `surfaces` are where on a body sensors may sit; `analytic`, with
+`boundaries`, measures the subspaces themselves instead of their cuboids; `combinations` and `front` choose sensors by
+price; `plan` and `sweep` run many searches. For requirements: `plain_rigs` are tried first, `requirements_search` has
+the costs and the search, `cheapest` with `symmetry` finds the cheapest rig, and `achievable` finds what no rig can
+meet.
 """
 
 import lazy_loader

@@ -1,7 +1,7 @@
-"""Requirements that no rig within a study's bounds can meet: out of range or sight, of too many returns, or too dear.
+"""Requirements that no rig within a study's bounds can meet: out of range or sight, too many returns, too dear.
 
-It is said only of what is certain, as far as places go that were tried: the bounds every 0.25 m, and 26 points on the
-object's bounding box. What is not found here may be out of reach all the same.
+Only what is certain is reported, as far as sampling goes: the bounds are tried every 0.25 m, and an object at 26
+points on its bounding box. A requirement that passes here may be out of reach all the same.
 """
 
 import math
@@ -28,7 +28,7 @@ FROM = 512  # places of sensors, from which they are
 
 
 def unachievable(study: Study) -> dict[str, str]:
-    """Why no rig can meet a requirement, by its name; those of which it is certain."""
+    """Why no rig can meet a requirement, by name, for the requirements where that is certain."""
     if study.requirements is None:
         return {}
     found = {}
@@ -46,7 +46,7 @@ def unachievable(study: Study) -> dict[str, str]:
 
 
 def cheapest_price(study: Study, item: PriceRequirement) -> float:
-    """Of the cheapest rig; where models are to choose, at least one sensor."""
+    """The price of the cheapest rig; where models are to choose, of at least one sensor."""
     if not study.to_choose:
         return item.price(study.rig(study.lower).mounts)
     least = []
@@ -59,7 +59,7 @@ def cheapest_price(study: Study, item: PriceRequirement) -> float:
 
 
 def _sensors(slot: Slot) -> list[Sensor]:
-    """Those that it may be of."""
+    """The models that a slot may have."""
     return [choice.sensor for choice in slot.choices if choice] or [slot.sensor]
 
 

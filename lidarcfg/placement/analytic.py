@@ -1,4 +1,4 @@
-"""The analytic measure: volume to surface of the subspaces themselves, and not of their cuboids.
+"""The analytic measure: volume to surface of the subspaces themselves, not of their cuboids.
 
 Straight lines run through the region along x, y and z, LINES_PER_EDGE² of them to a cuboid's face. Where a line crosses
 a cone is known in closed form, and so is the cone's normal n there. What lies between two crossings has the same digits

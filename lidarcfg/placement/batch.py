@@ -1,4 +1,4 @@
-"""A batch of trials: what the core takes and returns of it, and the threads that share it.
+"""A batch of trials: what the core takes and returns, and the threads that share the work.
 
 The types are those of core/placement/evaluator.h, field by field.
 """
@@ -39,7 +39,7 @@ class Batch(NamedTuple):
     source: Counts  # (n,) a row of `links`
     certificates: Counts  # (n, c) cuboids whose subspaces may refute a trial; −1 for none
     links: Words  # (sources, lidars, rows, 3); no sources where all LiDARs count as moved
-    same_position: Flags  # (n, lidars) the LiDARs of which `clear` of the source is true: they are where its are
+    same_position: Flags  # (n, lidars) the LiDARs at the same position as the source's, whose `clear` holds for them
     clear: Words  # (sources, lidars, rows) the cuboids that are near and not hidden; no sources if that is not known
     smoothing: float  # p-norm of the worst subspaces, p = 1 / smoothing; 0: the greatest
 
@@ -50,7 +50,7 @@ class BatchResult(NamedTuple):
     cost: Array  # (n,) or inf where it is not below the bound; NaN where it was not computed
     refuted_by: Counts  # (n,) the certificate whose subspace refuted a trial, or −1
     certificates: Counts  # (n, c) in the worst subspaces of a trial that was not refuted
-    links: Words  # (n, rows, 3) of such a trial the links of the last LiDAR that moved; or none
+    links: Words  # (n, rows, 3) the links of the last LiDAR that moved in such a trial; or none
     clear: Words  # (n, rows) and what is clear of it; or none
 
 

@@ -1,4 +1,4 @@
-"""What no LiDAR sees: volumes by how many see them, and how far the blind spot around the vehicle reaches.
+"""What no LiDAR sees: volumes by the number of LiDARs that see them, and the blind spot around the vehicle.
 
 Blind is what lies outside the range or the horizontal field of view of every LiDAR, or behind something from each of
 them. What lies between two beams, or above and below all of them, is not blind.
@@ -44,7 +44,7 @@ def seen_by_m3(region: Region, seen_by: NDArray[np.integer] | None, lidars: int)
 
 
 def fraction_below(region: Region, seen_by: NDArray[np.integer], least: int) -> float:
-    """The fraction of the region's volume that fewer than `least` LiDARs see."""
+    """The fraction of the region's volume that fewer than `least` LiDARs see; `seen_by` (nx, ny, nz) counts them."""
     below = (seen_by < least) & region.included
     return float(np.count_nonzero(below) / np.count_nonzero(region.included))
 
@@ -167,7 +167,7 @@ def directions(region: Region, center_m: Array, outline_m: Array, height_m: floa
 
 
 def seen_by_any(visibility: Visibility, lidars: Sequence[Lidar]) -> SeenPoints:
-    """Which of some points any of the LiDARs sees."""
+    """Which points at least one of the LiDARs sees."""
 
     def seen(points: Array) -> Bools:
         out = np.zeros(len(points), np.bool_)

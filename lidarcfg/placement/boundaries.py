@@ -1,6 +1,6 @@
-"""Where straight lines come into what LiDARs see, and leave it; and where they pass through bodies.
+"""Where straight lines enter and leave what LiDARs see, and where they pass through bodies.
 
-A line leaves what a LiDAR sees, or comes into it, only at
+A line enters or leaves what a LiDAR sees only at
 
 - an obstacle's surface;
 - the plane through the LiDAR and a silhouette edge: one whose two triangles lie on one side of that plane, or that has
@@ -205,7 +205,7 @@ class Bounds(NamedTuple):
 
 
 def bounds(edges: Array, surfaces: Quadrics, position_m: Array, axis: int) -> Bounds:
-    """What may bound a LiDAR's sight, by lines along an axis; edges and surfaces relative to the LiDAR."""
+    """What may bound a LiDAR's sight, by lines along an axis; edges (E, 2, 3) and surfaces relative to the LiDAR."""
     order = axes_from(axis)
     edges = edges[:, :, order]
     m = surfaces.m[:, order][:, :, order]

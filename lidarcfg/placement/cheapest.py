@@ -30,7 +30,7 @@ GROWTH = 4
 
 @dataclass(frozen=True)
 class Job:
-    """The search of a combination that is to go on."""
+    """The search of a combination, to be continued."""
 
     study: Study
     log: Log | None  # of what was searched before
@@ -42,7 +42,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Effort:
-    """What the search of a combination has come to."""
+    """How far the search of a combination has come, and its result."""
 
     log: Log
     evaluations: int
@@ -52,7 +52,7 @@ class Effort:
 
 
 @dataclass(frozen=True)
-class Tried:
+class SearchedCombination:
     """A combination, and how long it was searched with what result."""
 
     name: str
@@ -71,9 +71,11 @@ class Cheapest:
 
     combination: Combination
     placement: Placement
-    tried: tuple[Tried, ...]  # by price: all that are cheaper, and those that were searched; all if none meets all
+    tried: tuple[
+        SearchedCombination, ...
+    ]  # by price: all that are cheaper, and those that were searched; all if none meets all
     combinations: int  # that are not alike
-    excluded: int  # of those, of which no rig can meet all
+    excluded: int  # of those, the ones of which no rig can meet all requirements
     evaluations: int
     seconds: float
     interrupted: bool
@@ -168,7 +170,7 @@ class CheapestRun:
 
     @property
     def _evaluations_each(self) -> int:
-        """To which each combination's search goes on in this round."""
+        """The number of evaluations that each combination's search reaches in this round."""
         return FIRST * GROWTH ** (self.round - 1) if self.round else 0
 
     def _do_round(self, numbers: list[int], on_effort: OnEffort | None) -> None:
@@ -216,7 +218,7 @@ class CheapestRun:
         )
 
     def result(self, interrupted: bool) -> Cheapest:
-        """What is found so far. Raises KeyboardInterrupt if that is nothing."""
+        """The best found so far. Raises KeyboardInterrupt or ConfigError if there is none yet."""
         if not self.efforts:
             if interrupted:
                 raise KeyboardInterrupt
@@ -230,7 +232,7 @@ class CheapestRun:
             if effort is None and self.found is not None and n > best:
                 continue
             tried.append(
-                Tried(
+                SearchedCombination(
                     name=one.name,
                     price=one.price,
                     sensors=one.sensors,
@@ -261,7 +263,7 @@ def work(content: bytes, theirs: dict[str, str]) -> Effort | str:
 
 
 def effort_of(job: Job, threads: int | None = None) -> Effort | str:
-    """Let a combination's search go on to so many evaluations, or until a rig meets all requirements.
+    """Continue a combination's search to a number of evaluations, or until a rig meets all requirements.
 
     Or why there is nothing to search: no rig keeps the constraints, or none can meet all.
     """

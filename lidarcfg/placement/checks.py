@@ -79,7 +79,7 @@ def rig_warnings(path: str | Path, ground_m: float = 0.0) -> Iterator[str]:
 
 
 def _lines(path: Path, found: Iterator[Suspect]) -> Iterator[str]:
-    """The first ones, a line each, and how many more there are."""
+    """The first warnings, a line each, and how many more there are."""
     yield from map(str, all_errors_at(path, list(islice(found, LINES))))
     if more := sum(1 for _ in found):
         yield f"{path}: {more:,} more warnings"
@@ -120,7 +120,7 @@ def _turns(item: RequirementFile) -> Iterator[Suspect]:
 
 
 def _are_in_degrees(items: Iterable[PoseBound | MountFile]) -> bool:
-    """Whether any of these is turned by more than radians say."""
+    """Whether any of these angles is too large to be in radians."""
     return any(abs(angle) > 2 * math.pi for item in items for angle in item.rpy_deg or ())
 
 
@@ -234,7 +234,7 @@ def _cheaper(study: Study) -> str:
 
 
 def _many_returns(study: Study) -> Iterator[Suspect]:
-    """Objects with too many places to count the returns of a rig quickly, as a part of the places shows."""
+    """Objects with too many places to count a rig's returns quickly, estimated from a part of the places."""
     unlike = {one.item.appearance: one for one in study.detection_targets}.values()
     if not unlike:
         return

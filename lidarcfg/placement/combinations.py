@@ -88,7 +88,7 @@ def combinations(study: Study) -> list[Combination]:
 
 
 def options(study: Study) -> list[Option]:
-    """The same, not made yet."""
+    """`combinations` as options, whose studies are not made yet."""
     groups = _groups(study)
     ways = [combinations_with_replacement(study.slots[group.first].choices, group.places) for group in groups]
     found: list[Option] = []
@@ -110,7 +110,7 @@ def options(study: Study) -> list[Option]:
 
 
 def distinct_options(study: Study) -> list[Option]:
-    """Those that are not alike by symmetry, the cheapest first."""
+    """The options without symmetric duplicates, cheapest first."""
     symmetry = Symmetry.of(study)
     found: dict[object, Option] = {}
     for one in options(study):

@@ -1,12 +1,12 @@
-"""What placement knows of a LiDAR: cones about an axis, and between which of them a point lies.
+"""A LiDAR as placement sees it: cones about an axis, and the gap between two of them in which a point lies.
 
-A point p is at or above beam k when sin(elevation_k) <= a·(p − t) / |p − t|, with the position t and the axis a. What
-is compared are the signed squares, h |h| >= u_k |p − t|² with h = a·(p − t) and u_k = sin |sin|: no root is needed. At
-the apex both sides are 0, so it is at or above every beam, as is every point within 1e-162 m, whose squares vanish.
+A point p is at or above beam k when sin(elevation_k) <= a·(p − t) / |p − t|, with the position t and the axis a. The
+signed squares are compared, h |h| >= u_k |p − t|² with h = a·(p − t) and u_k = sin |sin|: no root is needed. At the
+apex both sides are 0, so it is at or above every beam, as is every point within 1e-162 m, whose squares vanish.
 
 A point on a cone counts as above it. Rounding decides for points nearer to a cone than 8·2⁻⁵² in the sine, and for no
-others (docs/evidence/accuracy.md). It decides alike everywhere, because everything that asks for a beam gap compares
-what `signed_squares` returns.
+others (docs/evidence/accuracy.md). It decides alike everywhere, because whatever asks for a beam gap compares what
+`signed_squares` in core/placement/cones.h returns.
 """
 
 import math
@@ -35,18 +35,18 @@ class Lidar:
     position_m: Array  # (3,)
     axis: Array  # (3,) unit, the sensor's z in the vehicle frame
     sin_elevation: Array  # (beams,) ascending
-    level: Array | None = None  # (3, 2) its x and y, of which there must be some if there is a field of view
+    level: Array | None = None  # (3, 2) its x and y axes; required if there is a field of view
     range_m: tuple[float, float] | None = None  # least, greatest; None: any
     azimuth_fov: tuple[float, float] | None = None  # radians from x, clockwise, from and to; None: all around
 
 
 def lidar(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array, sin_elevation: Array) -> Lidar:
-    """The LiDAR with these beams at this pose in the vehicle frame, of unlimited range and field of view."""
+    """The LiDAR at this pose in the vehicle frame, with beams (n,) ascending, of unlimited range and field of view."""
     return Lidar(np.asarray(position_m, np.float64), up(rpy_rad), sin_elevation, level(rpy_rad))
 
 
 def placed(one: Lidar, position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array) -> Lidar:
-    """The same LiDAR at another pose."""
+    """The LiDAR at another pose."""
     return replace(one, position_m=np.asarray(position_m, np.float64), axis=up(rpy_rad), level=level(rpy_rad))
 
 
@@ -85,12 +85,6 @@ def cone_rows(lidars: Sequence[Lidar]) -> Array:
         row[3:FIRST] = one.axis
         row[FIRST : FIRST + one.sin_elevation.size] = one.sin_elevation * np.abs(one.sin_elevation)
     return out
-
-
-def signed_squares(dx: float, dy: float, dz: float, ax: float, ay: float, az: float) -> tuple[float, float]:
-    """h |h| and |d|² of a point at d from the apex, h = a·d: on or above beam k if h |h| >= u_k |d|²."""
-    height = (dx * ax + dy * ay) + dz * az
-    return height * abs(height), (dx * dx + dy * dy) + dz * dz
 
 
 def gaps_at(points_m: Array, lidar: Lidar) -> NDArray[np.int64]:

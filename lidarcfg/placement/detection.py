@@ -243,7 +243,7 @@ def detection_by_distance(
 ) -> Rings:
     """The places of `detection`, by their distances along the ground.
 
-    Places beyond the last of `edges_m` are in no ring. counted: the result of `counted_places`, if known.
+    Places beyond the last of `edges_m` (n + 1,) are in no ring. counted: the result of `counted_places`, if known.
     """
     n = len(edges_m) - 1
     detected = np.zeros(n, np.int64)
@@ -273,7 +273,7 @@ def from_point(point_m: Array) -> Distances:
 
 
 def ring(distance_m: Array, edges_m: Array) -> Counts:
-    """The ring of each distance; for those in no ring, the number of rings."""
+    """(P,) the ring between `edges_m` (n + 1,) of each distance (P,); n for those in no ring."""
     ring = np.searchsorted(edges_m, distance_m, side="right") - 1
     return np.where(ring < 0, len(edges_m) - 1, ring)
 
@@ -351,8 +351,9 @@ def gap_fit(
 ) -> GapFit | None:
     """Where a box fits into a single subspace, at its two headings along the axes; None for a mesh.
 
-    counted: the result of `counted_places`, if known. A box inside a subspace touches only cuboids of that subspace.
-    It touches fewest where it is aligned with the grid, so it is enough to test these places.
+    vsr_m (n,): of the subspaces. counted: the result of `counted_places`, if known. A box inside a subspace touches
+    only cuboids of that subspace. It touches fewest where it is aligned with the grid, so it is enough to test these
+    places.
     """
     if item.size_m is None:
         return None

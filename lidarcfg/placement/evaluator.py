@@ -1,4 +1,4 @@
-"""The costs of many trials at once: on threads, and without the work that cannot change the answer.
+"""The costs of a batch of trials: on threads, and without work that cannot change the answer.
 
 A trial is kept only if it beats the food source that it was drawn around. For max VSR the subspaces of a few cuboids
 are flooded first, its certificates: those in the source's worst subspaces, and those that refuted earlier trials of
@@ -34,7 +34,7 @@ SLICE = 1000  # trials between two looks at the clock
 SLICE_CUBOIDS = 5e7  # in them, at most
 REMEMBERED = 10_000  # trials that may take the place of a food source
 CERTIFICATES = 12  # of a food source, see core/placement/evaluator.h
-FEW = 8  # LiDARs, of which a trial takes no longer than its cuboids; of more it takes as much longer
+FEW = 8  # LiDARs; a trial of at most this many takes as long as its cuboids, one of more proportionally longer
 PAUSE = 10  # batches without certificates after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -46,7 +46,7 @@ def slice_of(cuboids: int, threads: int) -> int:
 
 
 class _Remembered(NamedTuple):
-    """What is known of some trials: a food source may move to where one is."""
+    """What is known of some trials; a food source may move to one of them."""
 
     source: Index  # (n,)
     poses: Array  # (n, lidars, 6)

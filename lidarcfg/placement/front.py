@@ -88,7 +88,7 @@ class Front:
 
 
 def on_front(prices: Sequence[float], objectives: Sequence[float]) -> list[bool]:
-    """Which pairs of price and objective no other pair dominates.
+    """Which pairs of price and objective are not dominated by another pair.
 
     One pair dominates another if neither its price nor its objective is larger, and one of them is smaller; of equal
     pairs the first counts. Pairs without a rig that meets the constraints are on no front.

@@ -111,7 +111,7 @@ class Trial:
         return poses_of(self.lidars)
 
     def forget(self, weight: Weights | None) -> None:
-        """Keep of its subspaces only their weighted VSR and the first cuboid of each: the rest is large."""
+        """Drop its subspaces, which are large, but for their weighted VSR and the first cuboid of each."""
         found = self.__dict__.pop("subspaces", None)
         if found:
             self.weighted_vsr_m = weighted_vsr_m(found, weight)
@@ -122,7 +122,7 @@ class Trial:
         return Links(self.region, self.lidars, self.visibility)
 
     def left(self, kept: tuple[int, ...]) -> "Trial":
-        """The trial of the rig with only some of its LiDARs."""
+        """The trial of the same rig with only some of its LiDARs."""
         if kept not in self._left:
             one = Trial(self.region, [self.lidars[i] for i in kept], self.visibility)
             one.kept = kept
@@ -145,7 +145,7 @@ class Term(Protocol):
 
 @runtime_checkable
 class BoundedTerm(Term, Protocol):
-    """A term of which a part of the work tells how large it is at least."""
+    """A term with a lower bound that takes only part of the work."""
 
     def lower_bound(self, trial: Trial, share: float) -> float:
         """No more than its value, by a share of the work, 0 to 1."""
@@ -217,7 +217,7 @@ class MissRate:
         return self._counter_for(trial).rate(trial.kept, trial.poses, limit)
 
     def lower_bound(self, trial: Trial, share: float) -> float:
-        """By the places where the object is the likeliest to be missed."""
+        """The lower bound from the places where the object is most likely to be missed."""
         return self._counter_for(trial).lower_bound(trial.kept, trial.poses, share)
 
     def _counter_for(self, trial: Trial) -> MissCounter:

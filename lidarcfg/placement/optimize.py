@@ -1,4 +1,4 @@
-"""The search for the best rig of a study: asks a solver for trials, evaluates them, and tells it their costs."""
+"""The best rig of a study, in one call: `place` is the plain loop; `optimize` also logs, resumes and evaluates."""
 
 from collections.abc import Callable
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
 CUBOID_BYTES = 11  # of memory to evaluate one, measured
-CUBOID_ADDRESSES = 110  # of bytes that are reserved for one, most of which are never used
+CUBOID_ADDRESSES = 110  # bytes of address space reserved for one, most of them never used
 VOXEL_BYTES = 300  # of memory for one of Open3D's, and to make it
 NEAREST_M = 1e-9  # least distance of centres
 NEAREST = 1e-12  # the same relative to the coordinates
@@ -209,7 +209,7 @@ class Region:
         return surface_mesh(self.min_m, self.cuboid_m, chosen)
 
     def line_set(self, chosen: NDArray[np.bool_]) -> "open3d.geometry.LineSet":
-        """The edges of that surface. Raises ConfigError where there are none."""
+        """The edges of the surface of some cuboids (nx, ny, nz), in metres. Raises ConfigError where there are none."""
         return crease_lines(self.min_m, self.cuboid_m, chosen)
 
     def voxel_grid(self, index: ArrayLike, rgb: ArrayLike, voxel_m: float | None = None) -> "open3d.geometry.VoxelGrid":
@@ -282,7 +282,10 @@ Chosen = NDArray[np.bool_]  # (nx, ny, nz) which cuboids
 
 
 def surface_mesh(min_m: Array, cuboid_m: Array, chosen: Chosen) -> "open3d.geometry.TriangleMesh":
-    """The surface of some cuboids of a grid: two triangles for each outer face, whose normals point outwards."""
+    """The surface of some cuboids (nx, ny, nz) of a grid from `min_m` (3,): two triangles for each outer face.
+
+    Normals point outwards. Raises ConfigError where there are none.
+    """
     _check(chosen)
     import open3d as o3d
 
@@ -310,7 +313,10 @@ def surface_mesh(min_m: Array, cuboid_m: Array, chosen: Chosen) -> "open3d.geome
 
 
 def crease_lines(min_m: Array, cuboid_m: Array, chosen: Chosen) -> "open3d.geometry.LineSet":
-    """The edges at which the surface of some cuboids of a grid turns, one line a cuboid's edge."""
+    """The edges at which the surface of some cuboids (nx, ny, nz) of a grid turns, one line a cuboid's edge.
+
+    Raises ConfigError where there are none.
+    """
     _check(chosen)
     import open3d as o3d
 

@@ -60,7 +60,7 @@ def cost_of(shortfall: float, wanted: float) -> float:
 
 
 def meets(cost: float) -> bool:
-    """Whether a rig of this cost meets all requirements, at the places that count in trials."""
+    """Whether a rig of this cost meets all requirements at the places that trials use."""
     return cost < MET_MOST
 
 
@@ -106,7 +106,7 @@ class RequirementsEvaluator:
             self._objective.__exit__(kind, value, at)
 
     def add_places(self, more_places: Mapping[int, Array]) -> None:
-        """From now on these count, too; see RigTrials. What is known of sensors is forgotten."""
+        """Use these places, too, from now on; see RigTrials. What is known of sensors is forgotten."""
         self._judge = RigTrials(self._requirements, self._mounts, self._skip, more_places)
 
     @property
@@ -122,12 +122,12 @@ class RequirementsEvaluator:
 
     @property
     def cuboids(self) -> int:
-        """How many were evaluated."""
+        """The number of cuboids evaluated."""
         return self._objective.cuboids if self._objective else 0
 
     @property
     def segments(self) -> int:
-        """How many were cast from LiDARs to cuboids, at most."""
+        """The number of segments cast from LiDARs to cuboids, at most."""
         return self._objective.segments if self._objective else 0
 
     def costs(
@@ -174,7 +174,7 @@ class PointsFirst(Best):
     """Given points first, then the study's solver, which starts from the best of them.
 
     The points come in batches. In all but the first a point counts only if it is better than those before.
-    By requirements `auto` is annealing at once: its trials move one sensor each, and the others need not be cast anew.
+    With requirements, `auto` is annealing from the start: its trials move one sensor each; the others need no casting.
     """
 
     def __init__(self, study: Study, points: Array, restarts: int = 0) -> None:
@@ -354,7 +354,7 @@ class RequirementsRun(SearchRun):
             self._restart(evaluator, self._points[:0])
 
     def _restart(self, evaluator: RequirementsEvaluator, points: Array) -> None:
-        """Have the places that were added count, and the solver start anew from the best rigs, or from some points."""
+        """Use the added places, and start the solver anew from the best rigs, or from some points."""
         evaluator.add_places(self._more_places)
         self._restarts += 1
         self._cycles_before = self.cycles
@@ -368,7 +368,7 @@ class RequirementsRun(SearchRun):
         self._next_check = self.evaluations + interval
 
     def _missed(self) -> dict[int, Array]:
-        """Places of the base grid at which the best rig fails, by requirement: of those that trials leave out."""
+        """Places of the base grid that trials leave out and at which the best rig fails, by requirement."""
         mounts = self._mounts(self.best_x)
         judges = [(n, judge) for n, judge in enumerate(self._verifier.judges) if isinstance(judge, ObjectJudge)]
         return {n: places for n, judge in judges if len(places := judge.missed(mounts))}
@@ -378,7 +378,7 @@ class RequirementsRun(SearchRun):
         self._more_places[number] = places if known is None else np.concatenate([known, places])
 
     def _add_places(self, found: Verdict) -> bool:
-        """Have the worst places at which requirements fail count in trials, with those around. Returns if any are."""
+        """Add the worst places at which requirements fail, and those around. Returns whether there are any."""
         added = False
         for number, (item, one) in enumerate(zip(self._requirements.items, found.requirements, strict=True)):
             if one.passed or not isinstance(item, ObjectRequirement) or item.at_least < 1 or one.worst is None:
@@ -422,7 +422,7 @@ class RequirementsRun(SearchRun):
 
 
 def _with_reasons(study: Study, found: Verdict) -> Verdict:
-    """The verdict, which says where no rig could do better."""
+    """The verdict, with notes where no rig could do better."""
     if found.passed:
         return found
     why = unachievable(study)

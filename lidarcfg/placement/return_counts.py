@@ -1,4 +1,4 @@
-"""Detection by returns: at which places, and how surely, enough comes back from an object in one revolution."""
+"""Detection by returns: at each place, the probability that an object gives enough returns in one revolution."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -50,13 +50,13 @@ class DetectionTarget:
 
     @property
     def enough(self) -> int:
-        """Returns by which it is detected."""
+        """The number of returns at which it counts as detected."""
         assert self.item.returns
         return self.item.returns
 
     @property
     def step_m(self) -> float:
-        """Between places."""
+        """The spacing of places."""
         return self.item.step_m or STEP_M
 
 
@@ -85,7 +85,7 @@ class ReturnCounts:
         return Detection(rate, len(missed), half_width, found)
 
     def rings(self, distances: Distances, edges_m: Array) -> Rings:
-        """Its places by their distances along the ground."""
+        """Its places by their distances along the ground, in rings between `edges_m` (n + 1,)."""
         at = ring(distances(self.target.places), edges_m)
         n = len(edges_m) - 1
         detected = np.bincount(at, self.probability, n + 1)[:n]
@@ -211,7 +211,7 @@ class MissCounter:
         check_memory(what, self._counter.memory_bytes, "give fewer places")
 
     def rate(self, sensors: Sequence[int], poses: Poses, limit: float = math.inf) -> float:
-        """By some of the scanners, whose numbers ascend; or, once it is known to be at least `limit`, any that is."""
+        """The miss rate with some scanners, their numbers ascending; any value from `limit` on once it reaches that."""
         numbers = np.array(sensors, np.int64)
         if not self._drawn:
             (count,) = self._counts
@@ -225,7 +225,7 @@ class MissCounter:
         return 1.0 - float(np.mean(rates))
 
     def lower_bound(self, sensors: Sequence[int], poses: Poses, share: float) -> float:
-        """No more than `rate`, by a share of the places, the likeliest to be missed; 0 of drawn places."""
+        """A lower bound of `rate`, from a share of the places, the likeliest to be missed first; 0 for drawn places."""
         if self._drawn:
             return 0.0
         (count,) = self._counts

@@ -128,11 +128,11 @@ class TrialEvaluator(Protocol):
 
     @property
     def cuboids(self) -> int:
-        """How many were evaluated."""
+        """The number of cuboids evaluated."""
 
     @property
     def segments(self) -> int:
-        """How many were cast from LiDARs to cuboids, at most."""
+        """The number of segments cast from LiDARs to cuboids, at most."""
 
     def costs(
         self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
@@ -141,7 +141,7 @@ class TrialEvaluator(Protocol):
 
 
 @dataclass(frozen=True)
-class Work:
+class WorkDone:
     """The work that evaluators have done."""
 
     trials: int = 0
@@ -149,9 +149,9 @@ class Work:
     cuboids: int = 0
     segments: int = 0
 
-    def plus(self, evaluator: TrialEvaluator) -> "Work":
+    def plus(self, evaluator: TrialEvaluator) -> "WorkDone":
         """The sum with one more evaluator's work."""
-        return Work(
+        return WorkDone(
             self.trials + evaluator.trials,
             self.full_evaluations + evaluator.full_evaluations,
             self.cuboids + evaluator.cuboids,
@@ -179,7 +179,7 @@ class SearchRun:
         self.history: list[Cycle] = []
         self.best_x = search.best_x
         self.best_cost = math.inf
-        self.work = Work()
+        self.work = WorkDone()
 
     @property
     def evaluations(self) -> int:
@@ -239,7 +239,7 @@ class SearchRun:
         return self._search.ask()
 
     def tell(self, trials: Trials, cost: Array, budget: Budget) -> bool:
-        """Tell the solver the costs of its trials, and keep the best. Returns as `step` does."""
+        """Tell the solver the costs (n,) of its trials, and keep the best. Returns as `step` does."""
         search = self._search
         kind = self._kind(trials)
         self.asked[kind] += len(cost)
@@ -264,7 +264,7 @@ class SearchRun:
         return trials.phase if trials.phase in self.asked else "trial"
 
     def costs(self, trials: Trials, evaluator: TrialEvaluator, budget: Budget) -> Array:
-        """The costs of the rigs at the trials, those of the log first; fewer if a budget cuts the batch short."""
+        """(n,) the costs of the rigs at the trials, those of the log first; fewer if a budget cuts the batch short."""
         count = len(trials.x)
         if len(self._replay) >= count:
             cost = self._replay[:count]
@@ -328,7 +328,7 @@ def at_bounds(study: Study, poses: Array) -> tuple[str, ...]:
 def costs(
     study: Study, evaluator: Evaluator | TrialEvaluator, sources: Array, trials: Trials, count: int, deadline: float
 ) -> Array:
-    """The costs of the first `count` trials, or inf where a trial does not beat its cost to beat.
+    """(count,) the costs of the first trials, or inf where one is not below its upper bound.
 
     Fewer if the `deadline` (of `clock`) passes meanwhile.
     """

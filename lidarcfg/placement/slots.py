@@ -112,7 +112,7 @@ class Slot:
 
     @cached_property
     def lidar(self) -> Lidar:
-        """Its LiDAR at the vehicle's origin."""
+        """The slot's LiDAR at the vehicle's origin."""
         return sensor_lidar(self.sensor, self.range_m, self.azimuth_fov_deg)
 
 
@@ -128,7 +128,7 @@ class Slots:
 
     @property
     def sensors(self) -> list[Sensor]:
-        """Their sensors, and all that they may be of."""
+        """The sensors of all slots, and all models to choose from."""
         chosen = [choice.sensor for slot in self.slots for choice in slot.choices if choice]
         return [slot.sensor for slot in self.slots] + chosen
 

@@ -41,7 +41,7 @@ from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.requirements import Requirements, Site, Source, resolved, sources
 from lidarcfg.requirements.robustness import Robust, mounted
-from lidarcfg.requirements.sensors import scanners_of
+from lidarcfg.requirements.sensor_counts import scanners_of
 from lidarcfg.requirements.target import box_target
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
 from lidarcfg.world.scene import Scene, load_scene
@@ -103,7 +103,7 @@ class Study:
     def poses(self, unit: Array) -> Array:
         """Poses (n, slots, 6) of points (n, free coordinates) of the unit cube.
 
-        1 is exactly upper, except for angles that attitudes.py arranges.
+        1 is exactly `upper`, except for the angles that `slots.center_on_upright` rearranges.
         """
         return self._repaired(self._coordinates(center_on_upright(unit, self.freely_tilted)))
 
@@ -119,7 +119,7 @@ class Study:
 
     @cached_property
     def freely_tilted(self) -> NDArray[np.int64]:
-        """(n, 2) free coordinates, see attitudes.py; none for the paper's solver, which has the paper's coordinates."""
+        """(n, 2) as `slots.freely_tilted`; none for the paper's solver, which uses the paper's coordinates."""
         free = self.free & (self.solver.method != "abc")
         return freely_tilted([slot.lidar for slot in self.slots], self.lower, self.upper, free)
 
@@ -183,7 +183,7 @@ class Study:
         return any(slot.choices for slot in self.slots)
 
     def chosen(self, numbers: Sequence[int], slots: Sequence[Slot], file: dict[str, Any]) -> "Study":
-        """The study with these slots instead of its own; each takes the bounds of the slot with its number."""
+        """The study with these slots in place of its own; slot i takes the bounds of the study's slot i."""
         rows = list(numbers)
         lower = self.lower[rows]
         upper = self.upper[rows]

@@ -75,12 +75,12 @@ class StudyEvaluator:
 
     @property
     def cuboids(self) -> int:
-        """How many were evaluated."""
+        """The number of cuboids evaluated."""
         return sum(one.cuboids for one in self._parts)
 
     @property
     def segments(self) -> int:
-        """How many were cast from LiDARs to cuboids, at most."""
+        """The number of segments cast from LiDARs to cuboids, at most."""
         return sum(one.segments for one in self._parts)
 
     @property

@@ -69,7 +69,7 @@ def count_set(region: Region, words: Words) -> NDArray[np.integer]:
 
 
 def cuboid_number(grid: core.Grid, index: tuple[Counts, Counts, Counts]) -> Counts:
-    """The numbers of cuboids by their indices along x, y and z."""
+    """(N,) the numbers of cuboids by their indices along x, y and z, (N,) each."""
     i, j, k = index
     row = ((k + 1) * (grid.shape[1] + 2) + j + 1) * grid.chunks + (i >> 6)
     number: Counts = row << 6 | i & 63
@@ -192,7 +192,7 @@ class Subspaces:
         return self.region.voxel_grid(*self._coloured(value), voxel_m)
 
     def scaled_voxel_grid(self, value: Array) -> "open3d.geometry.VoxelGrid":
-        """The same with one voxel a cuboid, and so not in true proportions: see `Region.scaled_voxel_grid`."""
+        """All cuboids with one voxel each, and so not in true proportions: see `Region.scaled_voxel_grid`."""
         return self.region.scaled_voxel_grid(*self._coloured(value))
 
     def _coloured(self, value: Array) -> tuple[NDArray[np.int64], Array]:

@@ -111,7 +111,7 @@ class Surface:
 
     @cached_property
     def image(self) -> "Surface":
-        """The surface of the other sensor of a pair."""
+        """The mirrored surface, for the other sensor of a pair."""
         low = self.low_m.copy()
         high = self.high_m.copy()
         y_m = self.mirror_y_m or 0.0

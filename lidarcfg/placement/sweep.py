@@ -134,7 +134,7 @@ class _Process:
         return self._pipe.recv()
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill the process."""
         self._process.kill()
 
 
@@ -235,8 +235,8 @@ def check_versions(theirs: dict[str, str], who: str) -> None:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """The result of a run."""
+class RunResult:
+    """What a run found, or why it found nothing."""
 
     found: dict[str, float | int | None]  # figures by name
     rig: Rig | None  # None: there is none
@@ -245,19 +245,19 @@ class Outcome:
     lasting: bool = True  # whether another attempt would end the same way
 
 
-def work(content: bytes, theirs: dict[str, str]) -> Outcome:
+def work(content: bytes, theirs: dict[str, str]) -> RunResult:
     """Run the search of a pickled study in a worker. Raises ConfigError if `theirs` are not the worker's versions."""
     check_versions(theirs, "the command")
     started = time.perf_counter()
     try:
         placement = optimize(pickle.loads(content), threads=1)
     except LidarcfgError as error:
-        return Outcome({}, None, time.perf_counter() - started, str(error))
+        return RunResult({}, None, time.perf_counter() - started, str(error))
     except Exception as error:  # one run's, and the others go on
         last = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
-        return Outcome({}, None, time.perf_counter() - started, what, lasting=False)
-    return Outcome(figures(placement), placement.rig, time.perf_counter() - started)
+        return RunResult({}, None, time.perf_counter() - started, what, lasting=False)
+    return RunResult(figures(placement), placement.rig, time.perf_counter() - started)
 
 
 def figures(found: Placement) -> dict[str, float | int | None]:
@@ -282,14 +282,16 @@ def _verdict_figures(found: Verdict | None) -> dict[str, float | int | None]:
     return {"pass": int(found.passed), **margins}
 
 
-def sweep(plan: Plan, runs: Iterable[SweepCase], workers: Workers, done: Callable[[SweepCase, Outcome], None]) -> None:
+def sweep(
+    plan: Plan, runs: Iterable[SweepCase], workers: Workers, done: Callable[[SweepCase, RunResult], None]
+) -> None:
     """Do some runs of a plan; `done` is called after each, in the order in which they end.
 
     A run whose worker was killed is repeated. Raises ConfigError if the workers are gone, or run other versions.
     """
 
-    def ended(run: SweepCase, outcome: Outcome | None) -> None:
-        done(run, outcome or Outcome({}, None, 0.0, f"{KILLED}; out of memory?", lasting=False))
+    def ended(run: SweepCase, outcome: RunResult | None) -> None:
+        done(run, outcome or RunResult({}, None, 0.0, f"{KILLED}; out of memory?", lasting=False))
 
     # Each with its pickled study, so that the worker reads no files.
     jobs = ((run, (work, pickle.dumps(plan.studies.of(run.file)), versions())) for run in runs)

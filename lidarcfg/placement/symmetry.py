@@ -1,8 +1,8 @@
-"""Which of a study's groups of sensors are alike: a rig with their models exchanged is another one's equal.
+"""Which groups of sensors in a study are interchangeable: exchanging their models gives an equivalent rig.
 
 Any two groups with the same bounds and choices are. If a plane mirrors everything, the bounds of all groups, the
-bodies, and the zones, headings and objects of all requirements, then each combination has an image that is its equal,
-too: all groups change places with those in mirrored bounds, at once. Two things are not looked at: that sensors turn
+bodies, and the zones, headings and objects of all requirements, then each combination also has an equivalent image:
+all groups change places with those in mirrored bounds at the same time. Two things are not looked at: that sensors turn
 one way only, which shifts the places of beams by less than the step between two of them, and that each sensor has its
 own draws of mounting errors.
 """
@@ -29,14 +29,14 @@ BOUNDS = ("min", "max", "on", "mirror_y_m", "name")  # of a group, besides what 
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Of a study's groups, by their numbers in its file."""
+    """The symmetry of a study's groups, by their numbers in its file."""
 
     kinds: tuple[int, ...]  # the first group with the same bounds and choices
     images: dict[int, int] | None  # of kinds, in mirrored bounds; None: no plane mirrors everything
 
     @classmethod
     def of(cls, study: Study) -> "Symmetry":
-        """That of a study."""
+        """The symmetry of a study."""
         groups = [_Group(each, study.lower[first], study.upper[first]) for each, first in _firsts(study)]
         kinds: list[int] = []
         for i, group in enumerate(groups):
@@ -52,7 +52,7 @@ class Symmetry:
         return cls(tuple(kinds), images if len(images) == len(set(kinds)) else None)
 
     def key(self, chosen: Sequence[Hashable]) -> Hashable:
-        """What is the same for alike combinations, of what is chosen for each group."""
+        """A key of the models chosen for each group, equal for symmetric combinations."""
         parts: dict[int, list[str]] = {}
         for kind, each in zip(self.kinds, chosen, strict=True):
             parts.setdefault(kind, []).append(repr(each))
@@ -72,7 +72,7 @@ class _Group:
 
     @property
     def consists_of(self) -> dict[str, Any]:
-        """Its values but for where it is."""
+        """The group's values without its bounds."""
         return {key: value for key, value in self.file.items() if key not in BOUNDS}
 
     def is_alike(self, other: "_Group") -> bool:

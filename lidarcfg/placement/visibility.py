@@ -65,7 +65,7 @@ class Visibility:
         return len(self.obstacles.tree) > 0 or self.obstacles.ground_m < np.inf
 
     def transparent(self) -> "Visibility":
-        """This without obstacles: nothing hides anything."""
+        """A copy without obstacles: nothing hides anything."""
         return replace(self, obstacles=UNLIMITED_SIGHT.obstacles)
 
     def limits(self, lidars: Sequence[Lidar], level: Array | None = None) -> Array:

@@ -185,7 +185,7 @@ def _drawings(
 
 
 def _of_baseline(study: Study, baseline: Baseline) -> list[KeyFigure]:
-    """Its figures in a summary: the midpoint of the bounds is the study's, whatever the rig."""
+    """The baseline's figures in a summary; the midpoint of the bounds is the study's, whatever the rig."""
     return _summary(study, baseline.rig, replace(baseline.details, midpoint_max_vsr_m=None))
 
 

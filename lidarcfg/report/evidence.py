@@ -1,4 +1,4 @@
-"""What shows a verdict, drawn: maps around the vehicle's outline, and the worst place as each sensor sees it."""
+"""The evidence for a verdict, drawn: maps around the vehicle's outline, and the worst place as each sensor sees it."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -95,7 +95,7 @@ def finish_map(axes: "Axes", low: Array, high: Array) -> None:
 
 
 def _window(evidence: Evidence, rig: Rig) -> tuple[Array, Array]:
-    """(2,) each: corners of what a map shows."""
+    """The lower and the upper corner (2,) of a map."""
     parts = [np.array([mount.position_m[:2] for mount in rig.mounts])]
     if evidence.body:
         parts += evidence.body.outlines_m
@@ -280,7 +280,7 @@ def _draw_view(axes: "Axes", view: SensorView, number: int) -> None:
 
 
 def _legend(figure: "Figure", views: Sequence[SensorView]) -> None:
-    """What the marks of the beams mean that are drawn."""
+    """The legend of the beams' marks that are drawn."""
     from matplotlib.lines import Line2D
 
     drawn = {Outcome(int(code)) for view in views for code in np.unique(view.beams.outcome)}

@@ -80,7 +80,7 @@ def _robustness(rig: Rig, found: Robustness) -> dict[str, Any]:
 
 
 def _spacing_m(study: Study, item: DetectionObject) -> list[float] | None:
-    """Between the places at which a rate was counted, along x and y, and z where it matters; null where drawn."""
+    """The spacing of the places where a rate was counted, along x and y, and z where it matters; null where drawn."""
     if item.samples:
         return None
     if item.returns:
@@ -243,7 +243,7 @@ LOG = {"cost": ("f", 1), "seconds": ("f", 0), "asked": ("U", 0)}  # kind and dim
 
 
 def check_writable(folder: Path, names: Iterable[str]) -> None:
-    """Make the folder. Raises OSError at once, not after hours, if the files cannot be written into it."""
+    """Make the folder. Raises OSError now, not after hours, if the files cannot be written into it."""
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryFile(dir=folder):

@@ -89,11 +89,6 @@ class DriveFiles:
     last_s: float  # the last moment to brake, since the start
     detected_s: float | None  # None: never
 
-    def export_command(self, output: str) -> str:
-        """The command that simulates the drive; `view` then shows its output."""
-        files = f"{self.rig} --scene {self.scene} --trajectory {self.trajectory}"
-        return f"lidarcfg export {files} --duration {self.duration_s:.6g} -o {output}"
-
 
 def save_drive(run: ScenarioRun, mounts: tuple[Mount, ...], vehicle: Vehicle, folder: Path) -> DriveFiles:
     """Write rig, scene and trajectory of a run: `export` of them has the same returns in each frame. Raises OSError."""

@@ -93,7 +93,7 @@ def _beam_table(sensor: Sensor) -> Table:
 
 
 def _print_part(console: Console, part: str, values: dict[str, Any]) -> None:
-    """The facts of a part of a sensor's file, their source, and the same of parts that have sources of their own."""
+    """The facts of a section of a sensor's file with their source, then those of its subsections that name a source."""
     inner = {key: value for key, value in values.items() if isinstance(value, dict) and "source" in value}
     shown = {key: value for key, value in values.items() if key not in TABLE_KEYS and key not in inner and value != []}
     if values:

@@ -104,7 +104,7 @@ def _rig(path: Path) -> tuple[str, Iterable[str]]:
 
 
 def _sends(mount: Mount) -> bool:
-    """Whether a mount has packets. Raises ConfigError for invalid settings of these."""
+    """Whether a mount's sensor has packets. Raises ConfigError for invalid packet settings."""
     if mount.sensor.codec is None:
         return False
     codec(mount.sensor).check(mount)

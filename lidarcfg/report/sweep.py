@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.placement.plan import Plan, SweepCase, shown, versions
-from lidarcfg.placement.sweep import Outcome
+from lidarcfg.placement.sweep import RunResult
 from lidarcfg.report.canvas import dashes, label
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.report.results import check_writable, to_json
@@ -45,7 +45,7 @@ class SweepFolder:
         self._plain = {path for path in plan.varied if _is_plain([run.values[path] for run in plan.runs])}
 
     def start(self) -> None:
-        """Make the folder. Raises OSError at once, not after hours, if it cannot be written into."""
+        """Make the folder. Raises OSError now, not after hours, if it cannot be written into."""
         check_writable(self.folder, (PLAN, *TABLES, PLOT))
         with replacing(self.folder / PLAN) as file:
             file.write(self._about)
@@ -58,7 +58,7 @@ class SweepFolder:
                 return self._row(run, found)
         return self._failed.get(run.number)
 
-    def save(self, run: SweepCase, outcome: Outcome) -> None:
+    def save(self, run: SweepCase, outcome: RunResult) -> None:
         """Save the result of a run, unless another attempt may end otherwise."""
         found = outcome.found | {"rig": None, "version": versions()["lidarcfg"], "error": outcome.error or None}
         if outcome.rig:

@@ -1,4 +1,4 @@
-"""Results as tables on the terminal; and the combinations that were searched for the cheapest rig, as a file too."""
+"""Results as tables on the terminal; and the combinations searched for the cheapest rig, also as a CSV file."""
 
 import csv
 import math
@@ -200,7 +200,7 @@ def _between(gap: int, between_deg: Sequence[float | None]) -> str:
 
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.cheapest import Cheapest, Tried
+    from lidarcfg.placement.cheapest import Cheapest, SearchedCombination
 
 COMBINATIONS = "combinations.csv"
 SHOWN = 20  # combinations on the terminal
@@ -242,7 +242,7 @@ def print_cheapest(found: "Cheapest") -> None:
         console.print(f"{first.excluded}; the others are in {COMBINATIONS}")
 
 
-def _print_combinations(shown: "list[Tried]", title: str) -> None:
+def _print_combinations(shown: "list[SearchedCombination]", title: str) -> None:
     console = terminal()
     table = Table(
         Column("price", justify="right"),
@@ -266,11 +266,11 @@ def _print_combinations(shown: "list[Tried]", title: str) -> None:
         console.print(f"and {len(shown) - SHOWN:,} more: see {COMBINATIONS}")
 
 
-def _closest(tried: "tuple[Tried, ...]") -> "list[Tried]":
+def _closest(tried: "tuple[SearchedCombination, ...]") -> "list[SearchedCombination]":
     return sorted((one for one in tried if math.isfinite(one.shortfall)), key=lambda one: one.shortfall)
 
 
-def _missed(one: "Tried") -> str:
+def _missed(one: "SearchedCombination") -> str:
     if not math.isfinite(one.shortfall):
         return "not searched"
     if one.failing:

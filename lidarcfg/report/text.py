@@ -1,4 +1,4 @@
-"""Text of reports and tables: short forms of long names, unprintable characters, the terminal that it goes to."""
+"""Text of reports and tables: short forms of long names, unprintable characters as escapes, and the terminal."""
 
 import sys
 from collections.abc import Sequence

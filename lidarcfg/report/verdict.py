@@ -1,4 +1,4 @@
-"""A verdict as a table on the terminal and as JUnit's XML, and beside that of another rig."""
+"""A verdict as a table on the terminal and as JUnit XML, alone or beside another rig's."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ WORD_MAX = 24  # letters that a column leaves together
 def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
     """Print a line for each requirement, then what sampling cannot exclude, then the verdict.
 
-    `against`: that of another rig by the same requirements, whose margins are put beside.
+    `against`: the verdict on another rig by the same requirements, whose margins are shown beside these.
     """
     others = ["margin of the other", "change"] if against else []
     names = [truncate(one.name) for one in found.requirements]
@@ -67,7 +67,7 @@ def conclusion(found: Verdict) -> str:
 
 
 def remarks(found: Verdict) -> list[str]:
-    """What a requirement's line of the table does not say."""
+    """The notes on a requirement that its row of the table does not hold."""
     out = []
     for one in found.requirements:
         texts = list(one.notes)
@@ -111,7 +111,7 @@ def signed(value: float, unit: str) -> str:
 
 
 def worst_place(one: RequirementVerdict) -> str:
-    """Where it is closest to being missed."""
+    """Where the requirement is closest to being missed."""
     if one.worst is None:
         return ""
     at = f"x {one.worst.x_m:.2f}, y {one.worst.y_m:.2f} m"
@@ -154,7 +154,7 @@ def compared(one: RequirementVerdict, other: RequirementVerdict) -> list[str]:
 
 
 def junit(found: Verdict, name: str) -> str:
-    """The verdict as the XML that JUnit writes and CI servers read: a test case a requirement."""
+    """The verdict as JUnit XML, which CI servers read: a test case for each requirement."""
     failed = sum(not one.passed for one in found.requirements)
     counts = f'tests="{len(found.requirements)}" failures="{failed}" errors="0" skipped="0"'
     lines = ['<?xml version="1.0" encoding="utf-8"?>', "<testsuites>", f"  <testsuite name={_quoted(name)} {counts}>"]

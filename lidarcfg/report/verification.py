@@ -59,7 +59,7 @@ class VerdictPart:
 
 
 def verdict_part(found: Verification, rig: Rig, against: Verdict | None = None) -> VerdictPart:
-    """What a report says of a verification; `against`: the verdict on another rig, which is put beside."""
+    """A verification as a report shows it; `against`: the verdict on another rig, shown beside it."""
     parts = [
         RequirementPart(
             title=f"{PASS if one.verdict.passed else FAIL}: {truncate(one.verdict.name)}",

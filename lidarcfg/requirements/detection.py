@@ -42,7 +42,7 @@ class ScenarioRun:
     """A scenario at one speed and impact, from one start on, with some sensors lost."""
 
     approach: Approach
-    start: int  # 0 to 3: by so many quarters of a frame closer to the impact
+    start: int  # 0 to 3: how many quarters of a frame closer to the impact
     lost: tuple[int, ...]  # numbers of sensors
     frame_s: float
     needed_s: float  # from the last moment to brake to the impact
@@ -116,7 +116,7 @@ class ScenarioCase:
 
 @dataclass(frozen=True)
 class ScenarioResult:
-    """What comes of a scenario at all its speeds and impacts."""
+    """The outcome of a scenario at all its speeds and impacts."""
 
     scenario: Scenario
     rule: Rule
@@ -125,7 +125,7 @@ class ScenarioResult:
     cases: tuple[ScenarioCase, ...]
 
     def with_lost(self, *counts: int) -> "ScenarioResult":
-        """The runs with so many sensors lost."""
+        """The result with this many sensors lost."""
         cases = [replace(case, runs=tuple(run for run in case.runs if len(run.lost) in counts)) for case in self.cases]
         return replace(self, cases=tuple(cases))
 

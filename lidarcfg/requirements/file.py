@@ -112,7 +112,7 @@ class RequirementFile(Model):
     object: ObjectOrName | None = None
     returns: Annotated[int, Field(ge=1, le=1_000_000)] | None = None  # in one revolution, in the worst phase
     cluster_m: Annotated[float, Field(gt=0, le=10)] | None = None  # they are of one cluster with this tolerance
-    sensors: Annotated[int, Field(ge=1, le=SENSORS_MAX)] | None = None  # so many get them, each alone
+    sensors: Annotated[int, Field(ge=1, le=SENSORS_MAX)] | None = None  # the number that get them, each alone
     within_m: Distances | None = None  # between the object and the body
     sector_deg: tuple[Heading, Heading] | None = None  # from, to, counter-clockwise from ahead
     region: BoxFile | None = None  # instead of within_m

@@ -152,7 +152,7 @@ def _returns(approach: Approach, task: Task, frame: _Frame, number: int, frame_n
 
 
 def _may_hit(approach: Approach, range_m: float, frame: _Frame, middle_s: float, frame_ns: int) -> NDArray[np.int64]:
-    """Which beams may hit the target: those that meet a ball in which it is during the whole frame."""
+    """Which beams may hit the target: those that meet a ball that holds it during the whole frame."""
     middle_m, radius_m = approach.scenario.ball
     moves_m = (approach.speed_m_s + approach.walk_m_s) * 0.5 * frame_ns / SECOND_NS  # from the frame's middle on
     reach_m = radius_m + moves_m + frame.offset_m + SLACK_M

@@ -1,4 +1,4 @@
-"""What is left of a requirement with a sensor lost, and with a mount a little off."""
+"""The margin that a requirement keeps with one sensor lost, and with one mount slightly off."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.sensors import misplaced
+from lidarcfg.requirements.sensor_counts import misplaced
 from lidarcfg.sensors.rig import Mount
 
 OFF_M = 0.05  # of one coordinate of a mount

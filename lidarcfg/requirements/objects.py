@@ -1,4 +1,4 @@
-"""Whether an object gets its returns wherever it stands in a zone, also with sensors lost or mounts a little off."""
+"""Whether an object gets its returns wherever it stands in a zone, also with sensors lost or mounts slightly off."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -12,7 +12,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.places import FINEST_M, FINEST_RAD, Stand
 from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensors import (
+from lidarcfg.requirements.sensor_counts import (
     ALL,
     KeptCounts,
     OnPlaces,
@@ -35,7 +35,7 @@ CAP_FACTOR = 4  # by which the cap grows then
 CAP_MAX = 1 << 23
 TRIAL_PLACES = 1000  # of the base grid, at which the trials of a search are judged at first
 TRIAL_GROWTH = 10  # of that number, until all are looked at
-MISSED_MOST = 256  # places of the base grid that are found at once
+MISSED_MOST = 256  # places of the base grid, found at a time
 JOINT_MAX = 256  # combinations of phases that are all tried for clusters
 # Above the ground a cluster has a point at least so high: autonomous_emergency_braking.param.yaml of autoware_launch at
 # 025908d.
@@ -46,13 +46,13 @@ Counts = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class ObjectRequirement:
-    """An object gets so many returns wherever it stands in a zone."""
+    """An object gets a number of returns wherever it stands in a zone."""
 
     name: str
     target: Target
     stand: Stand
     returns: int
-    sensors: int | None = None  # so many sensors get them, each alone; None: all together
+    sensors: int | None = None  # the number of sensors that get them, each alone; None: all together
     at_least: float = 1.0  # fraction of the base grid's positions, each at its worst heading
     lost: int = 0  # sensors that fail
     cluster_m: float | None = None  # they are of one cluster with this tolerance
@@ -82,7 +82,7 @@ class Measured:
     lowest: Lowest  # each sensor's counts; for clusters no counts
 
     def joined(self, other: "Measured") -> "Measured":
-        """With those at other places."""
+        """These and the measurements at other places."""
         return Measured(
             np.concatenate([self.places, other.places]),
             np.concatenate([self.values, other.values]),
@@ -102,8 +102,8 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Tried:
-    """What was measured of a rig."""
+class Refined:
+    """The measurements of a rig."""
 
     base: Measured
     every: Measured  # with the refined places
@@ -147,7 +147,7 @@ def same_counts(one: ObjectRequirement, other: ObjectRequirement) -> bool:
 
 
 class ObjectJudge:
-    """Judges rig after rig by one such requirement; what is known of sensors at their latest poses is kept."""
+    """Judges rigs by one object requirement; counts of sensors at their latest poses are kept."""
 
     def __init__(
         self,
@@ -307,7 +307,7 @@ class ObjectJudge:
         return Measured(self.places, reached(lowest.counts, self.item.lost, self.item.sensors), lowest)
 
     def measured_at(self, places: Array, mounts: Sequence[Mount], cap: int) -> Measured:
-        """The same at other places (P, 4)."""
+        """What a rig reaches at other places (P, 4)."""
         item = self.item
         if item.cluster_m is not None:
             return self._clusters(places, mounts, cap)
@@ -351,7 +351,7 @@ class ObjectJudge:
         return f"{what} of phases; others may give smaller ones"
 
     def _best(self, positions: int) -> int:
-        """How many of so many positions count: the fraction that is asked for."""
+        """How many of this many positions count: the fraction that is asked for."""
         return math.ceil(self.item.at_least * positions - 1e-9)
 
     def _number(self, values: Counts) -> Counts:
@@ -369,7 +369,7 @@ class ObjectJudge:
         best = np.argsort(-by_position, kind="stable")[: self._best(len(by_position))]
         return worst[best[_lowest(by_position[best])]]
 
-    def _worst(self, tried: Tried) -> tuple[int, int]:
+    def _worst(self, tried: Refined) -> tuple[int, int]:
         """The place that decides, and what is reached there: the lowest, or that of the fraction asked for."""
         if self.item.at_least == 1:
             at = int(tried.every.values.argmin())
@@ -388,7 +388,7 @@ class ObjectJudge:
         return float(np.mean(positions(base.places, base.values)[1] >= self.item.returns))
 
     def _drawn(
-        self, mounts: Sequence[Mount], tried: Tried, cap: int, on_places: OnPlaces
+        self, mounts: Sequence[Mount], tried: Refined, cap: int, on_places: OnPlaces
     ) -> list[tuple[Measured, int, int]]:
         """For each draw of mounting errors what was measured, the place that decides and what is reached there."""
         assert self._robust
@@ -407,7 +407,7 @@ class ObjectJudge:
                 out.append((measured, *self._worst_of_base(measured)))
         return out
 
-    def _shortfall(self, tried: Tried, value: int, sensors: int) -> float:
+    def _shortfall(self, tried: Refined, value: int, sensors: int) -> float:
         """The mean over places and cases of failure of what is missing, as a fraction; 0 only where it is met."""
         item = self.item
         if item.cluster_m is not None:
@@ -421,8 +421,8 @@ class ObjectJudge:
             short = (1 - value / item.returns) / (len(self.places) + 1)
         return short
 
-    def _breaking(self, tried: Tried, mounts: Sequence[Mount]) -> tuple[str, ...]:
-        """The sensors of which each alone, if it fails, breaks the requirement."""
+    def _breaking(self, tried: Refined, mounts: Sequence[Mount]) -> tuple[str, ...]:
+        """The sensors whose failure, each alone, breaks the requirement."""
         if len(mounts) == 1:
             return ()
         item = self.item
@@ -454,7 +454,7 @@ class ObjectJudge:
                 values[lowest] = self._clusters(places, left, cap, lost=0).values
             yield values
 
-    def _tried(self, mounts: Sequence[Mount], base: Measured) -> Tried:
+    def _tried(self, mounts: Sequence[Mount], base: Measured) -> Refined:
         """The base grid's counts, and those at places between, around the lowest, down to the finest spacing.
 
         Each round counts up to the greatest of the lowest so far, as what has more is looked at no further.
@@ -479,7 +479,7 @@ class ObjectJudge:
             every = more
             if settled:
                 break
-        return Tried(base, every, step_m, step_rad)
+        return Refined(base, every, step_m, step_rad)
 
     def _with_neighbours(
         self,

@@ -1,4 +1,4 @@
-"""The places at which an object must be seen: a base grid in a zone, and places between around some of them."""
+"""The places at which an object must be seen: a base grid in a zone, and a finer one around some of its places."""
 
 import math
 from dataclasses import dataclass

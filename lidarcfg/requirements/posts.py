@@ -20,7 +20,7 @@ from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.places import Zone
 from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensors import OnPlaces, lowest_at, misplaced, no_progress
+from lidarcfg.requirements.sensor_counts import OnPlaces, lowest_at, misplaced, no_progress
 from lidarcfg.requirements.target import box_target
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
 from lidarcfg.sensors.rig import Mount
@@ -246,7 +246,7 @@ class PostRequirement:
         return lowest_at(self.posts.counted, self.target, mounts, self.obstacles, 1, wanted).counts
 
     def _breaking(self, counts: Counts, mounts: Sequence[Mount]) -> tuple[str, ...]:
-        """The sensors of which each alone, if it fails, breaks the requirement."""
+        """The sensors whose failure, each alone, breaks the requirement."""
         if len(mounts) == 1:
             return ()
         number = (counts > 0).sum(axis=1)

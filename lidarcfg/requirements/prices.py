@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.requirements.sensors import OnPlaces, no_progress
+from lidarcfg.requirements.sensor_counts import OnPlaces, no_progress
 from lidarcfg.requirements.verdict import RequirementVerdict
 from lidarcfg.sensors.rig import Mount
 
@@ -40,7 +40,7 @@ class PriceRequirement:
 
 @dataclass(frozen=True)
 class SensorsRequirement:
-    """There are at most so many sensors."""
+    """The rig has at most this many sensors."""
 
     name: str
     at_most: int

@@ -51,7 +51,7 @@ class Site:
 
     @classmethod
     def of(cls, vehicle: Vehicle | None, obstacles: Obstacles, ground_m: float, bounds: Bounds | None = None) -> "Site":
-        """Around a vehicle."""
+        """The site around a vehicle."""
         return cls(vehicle, Footprint.of(vehicle.scene.mesh()) if vehicle else None, obstacles, ground_m, bounds)
 
 
@@ -70,7 +70,7 @@ class Requirements:
         return max((item.lost for item in self.items if not isinstance(item, fixed)), default=0)
 
     def of_slots(self, numbers: Sequence[int]) -> "Requirements":
-        """The same of a study that has some of the sensors only."""
+        """The requirements for a study with only some of the sensors."""
         if not self.site.bounds:
             return self
         return replace(self, site=replace(self.site, bounds=[self.site.bounds[n] for n in numbers]))

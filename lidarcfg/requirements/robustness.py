@@ -27,7 +27,7 @@ SIGMAS = ("position_sigma_m", "angle_sigma_deg")
 class Robust(Model):
     """What a rig has to withstand. The larger of the costs with failed LiDARs and with mounting errors counts."""
 
-    lost: Annotated[int, Field(ge=1)] | None = None  # LiDARs that fail at once
+    lost: Annotated[int, Field(ge=1)] | None = None  # LiDARs that fail at the same time
     position_sigma_m: Annotated[float, Field(ge=0, le=10)] | None = None  # of every coordinate of every LiDAR
     angle_sigma_deg: Annotated[float, Field(ge=0, le=180)] | None = None  # about every axis of every LiDAR
     samples: Annotated[int, Field(ge=1, le=CASES_MAX)] | None = None  # draws of all LiDARs' errors
@@ -61,7 +61,7 @@ class Robust(Model):
 
     @property
     def spare(self) -> int:
-        """How many draws may be worse than the quantile."""
+        """The number of draws that may be worse than the quantile."""
         return self.drawn - max(math.ceil((self.quantile or 1.0) * self.drawn - 1e-9), 1)
 
     def check(self, lidars: int) -> None:
@@ -69,9 +69,9 @@ class Robust(Model):
         if self.lost is None:
             return
         if self.lost >= lidars:
-            of = "the only LiDAR leaves" if lidars == 1 else f"{self.lost} of {lidars} LiDARs leave"
+            which = "the only LiDAR" if lidars == 1 else f"{self.lost} of {lidars} LiDARs"
             allowed = "studies of two LiDARs or more" if lidars == 1 else f"1 to {lidars - 1}"
-            raise ConfigError(f"to lose {of} none; allowed: {allowed}")
+            raise ConfigError(f"losing {which} leaves none; allowed: {allowed}")
         if (count := math.comb(lidars, self.lost)) > CASES_MAX:
             what = f"{self.lost} of {lidars} LiDARs can fail in {count:,} ways"
             raise ConfigError(f"{what}; allowed: at most {CASES_MAX:,}")

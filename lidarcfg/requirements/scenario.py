@@ -203,7 +203,7 @@ class Approach:
 
     @property
     def speed_m_s(self) -> float:
-        """Of the vehicle."""
+        """The vehicle's speed."""
         return self.speed_km_h * KM_H
 
     @property
@@ -234,7 +234,7 @@ class Approach:
 
     @property
     def heading_deg(self) -> float:
-        """Of the target."""
+        """The target's heading."""
         crosses = self.scenario.file.path.crosses_from
         if crosses:
             return ACROSS_DEG if crosses == "right" else -ACROSS_DEG

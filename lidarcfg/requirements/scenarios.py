@@ -33,13 +33,13 @@ class ScenarioRequirement:
 
     @property
     def work(self) -> int:
-        """About as many places as take as long, for progress."""
+        """About the number of places that would take as long, for progress."""
         return PLACES_PER_CASE * len(self.speeds_km_h) * len(self.scenario.file.impacts)
 
     def check(
         self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
     ) -> "ScenarioOutcome":
-        """What comes of it with a rig. Raises ConfigError."""
+        """The outcome for a rig. Raises ConfigError."""
         return ScenarioOutcome(
             self,
             check_scenario(
@@ -73,19 +73,19 @@ class ScenarioRequirement:
 
 @dataclass(frozen=True)
 class ScenarioOutcome:
-    """What comes of such a requirement."""
+    """The outcome of a scenario requirement for a rig."""
 
     requirement: ScenarioRequirement
     tried: ScenarioResult  # also with each single sensor lost, whether that is asked for or not
 
     @cached_property
     def result(self) -> ScenarioResult:
-        """With as many sensors lost as the requirement says, and with all of them."""
+        """The result of the runs with as many sensors lost as the requirement says, and with all sensors."""
         return self.tried.with_lost(0, self.requirement.lost)
 
     @property
     def breaking(self) -> tuple[str, ...]:
-        """The sensors of which each alone, if it fails, breaks the requirement."""
+        """The sensors whose failure, each alone, breaks the requirement."""
         out = []
         for n, name in enumerate(self.tried.sensor_names):
             runs = [run for case in self.tried.cases for run in case.runs if run.lost == (n,)]
@@ -95,7 +95,7 @@ class ScenarioOutcome:
 
     @property
     def verdict(self) -> RequirementVerdict:
-        """In seconds before the last moment to brake."""
+        """The verdict, in seconds before the last moment to brake."""
         found = self.result
         case = found.worst
         worst = case.worst

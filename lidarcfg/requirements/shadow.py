@@ -13,7 +13,7 @@ from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.objects import cases
 from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensors import OnPlaces, misplaced, no_progress
+from lidarcfg.requirements.sensor_counts import OnPlaces, misplaced, no_progress
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.vehicle import Vehicle
@@ -26,7 +26,7 @@ POINTS_MAX = 20_000_000
 
 @dataclass(frozen=True)
 class ShadowRequirement:
-    """The bodies hide at most so large a volume from all sensors."""
+    """The bodies hide at most this volume from all sensors."""
 
     name: str
     at_most_m3: float
@@ -61,7 +61,7 @@ class ShadowRequirement:
 
     @property
     def cell_m3(self) -> float:
-        """Its volume."""
+        """The volume of a cell."""
         return STEP_M**2 * self.layer_m
 
     @property

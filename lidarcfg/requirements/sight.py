@@ -1,4 +1,4 @@
-"""The earliest line of sight to a scenario's target: from when on some place within bounds sees some point of it.
+"""The earliest line of sight to a scenario's target: when a place within the bounds first sees a point of it.
 
 Places and points are samples, so a sight between them may begin a little earlier: `Sight` says how many there are.
 """
@@ -65,7 +65,7 @@ def points_of(scenario: Scenario) -> Array:
     return np.asarray(vertices[np.union1d(first, extremes)])
 
 
-class _Looks:
+class _SightTest:
     """Tests whether any of some places sees any of the target's points at a time."""
 
     def __init__(self, approach: Approach, places: Array, vehicle: Vehicle | None) -> None:
@@ -111,25 +111,25 @@ def _cars(approach: Approach) -> world.Bvh:
 
 def earliest_sight(approach: Approach, last_s: float, places: Array, vehicle: Vehicle | None) -> Sight:
     """From when on places (N, 3) of the vehicle see the target at all times until `last_s`; or the first after it."""
-    looks = _Looks(approach, places, vehicle)
-    if len(places) and looks(last_s):
+    is_seen = _SightTest(approach, places, vehicle)
+    if len(places) and is_seen(last_s):
         hidden_s = last_s
-        while looks(hidden_s):
+        while is_seen(hidden_s):
             if hidden_s <= 0.0:
-                return Sight(0.0, len(places), looks.points)
+                return Sight(0.0, len(places), is_seen.points)
             hidden_s = max(hidden_s - STEP_S, 0.0)
-        return Sight(_bisected(looks, hidden_s, hidden_s + STEP_S), len(places), looks.points)
+        return Sight(_bisected(is_seen, hidden_s, hidden_s + STEP_S), len(places), is_seen.points)
     for seen_s in np.arange(last_s + STEP_S, approach.lead_s, STEP_S).tolist():
-        if len(places) and looks(seen_s):
-            return Sight(_bisected(looks, seen_s - STEP_S, seen_s), len(places), looks.points)
-    return Sight(None, len(places), looks.points)
+        if len(places) and is_seen(seen_s):
+            return Sight(_bisected(is_seen, seen_s - STEP_S, seen_s), len(places), is_seen.points)
+    return Sight(None, len(places), is_seen.points)
 
 
-def _bisected(looks: _Looks, hidden_s: float, seen_s: float) -> float:
+def _bisected(is_seen: _SightTest, hidden_s: float, seen_s: float) -> float:
     """When the sight begins, between a time without and a time with it."""
     while seen_s - hidden_s > EXACT_S:
         middle_s = 0.5 * (hidden_s + seen_s)
-        if looks(middle_s):
+        if is_seen(middle_s):
             seen_s = middle_s
         else:
             hidden_s = middle_s

@@ -32,7 +32,7 @@ def target_of(item: ObjectFile, folder: Path) -> Target:
 
 
 def box_target(size_m: Vec3) -> Target:
-    """A box."""
+    """The target of a box."""
     return Target(box_mesh(Box(name="box", reflectivity=0, center_m=(0.0, 0.0, 0.0), size_m=size_m)))
 
 

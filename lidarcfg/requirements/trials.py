@@ -1,4 +1,4 @@
-"""The shortfalls and margins of trial after trial of a search, by places of the base grid alone, or by some of them.
+"""The shortfalls and margins of a search's trials, from all places of the base grid or from some of them.
 
 Counts are kept per sensor and pose, so that of a trial only the sensors that moved are cast, and those only at places
 where the others do not settle it. Places where earlier trials missed the most come first, and a trial ends as soon as
@@ -22,7 +22,7 @@ from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.robustness import mounted
 from lidarcfg.requirements.scenarios import ScenarioRequirement
-from lidarcfg.requirements.sensors import scanners_of, united
+from lidarcfg.requirements.sensor_counts import scanners_of, united
 from lidarcfg.requirements.shadow import ShadowRequirement
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.returns import Target
@@ -270,7 +270,7 @@ class ObjectTrials:
 
 
 def _share(parts: Sequence[ObjectTrials]) -> None:
-    """Have those that count the same share what is known of sensors."""
+    """Let requirements that count the same returns share what is known of sensors."""
     done: list[ObjectTrials] = []
     for first in parts:
         if first in done:

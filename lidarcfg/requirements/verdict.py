@@ -36,7 +36,7 @@ class Sampling:
 
     @property
     def text(self) -> str:
-        """What sampling cannot exclude."""
+        """A sentence on what sampling cannot exclude."""
         near, far = (f"{step:.3g}" for step in self.base_m)
         base = f"{near} m apart near the body, {far} m farther out" if near != far else f"{near} m apart"
         turn = "" if not self.finest_deg else f" and {self.finest_deg:.3g}°"
@@ -70,7 +70,7 @@ class RequirementVerdict:
     worst: WorstPlace | None = None
     phases: tuple[int, ...] | None = None  # of each sensor, at the worst place: quarters of the step between firings
     lost: tuple[str, ...] = ()  # sensors that fail in the worst case
-    breaking: tuple[str, ...] = ()  # sensors of which each alone breaks the requirement if it fails
+    breaking: tuple[str, ...] = ()  # sensors whose failure, each alone, breaks the requirement
     fraction: float | None = None  # of places at which the demand is met, where a fraction is asked for
     sampling: Sampling | None = None
     notes: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Verifying rigs: each requirement of a study is judged in turn.
+"""Verifies rigs: judges each requirement of a study in turn, and collects the evidence.
 
 Evidence shows a verdict: the counts on a map around the vehicle, and the worst place as each sensor sees it.
 """
@@ -19,7 +19,7 @@ from lidarcfg.requirements.posts import PostRequirement, PostVisibility
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.scenarios import ScenarioRequirement
-from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.sensor_counts import lowest_at
 from lidarcfg.requirements.shadow import STEP_M as SHADOW_STEP_M
 from lidarcfg.requirements.shadow import ShadowRequirement
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
@@ -30,11 +30,11 @@ OnProgress = Callable[[float, str], None]
 
 
 def silent(fraction: float, name: str) -> None:
-    """Nobody wants to know."""
+    """Ignore progress."""
 
 
 class Verifier:
-    """Verifies rig after rig; what is known of sensors is kept, so that only those that moved are cast again."""
+    """Verifies rigs, one after the other; counts are kept, so that only sensors that moved are cast again."""
 
     def __init__(self, requirements: Requirements) -> None:
         self.requirements = requirements
@@ -73,7 +73,7 @@ class Verifier:
 
 @dataclass(frozen=True)
 class HiddenColumns:
-    """How much the bodies hide from all sensors above N points of the ground."""
+    """The height that the bodies hide from all sensors above N points of the ground."""
 
     at_m: Array  # (N, 2)
     height_m: Array  # (N,) that is hidden
@@ -91,7 +91,7 @@ class SensorView:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What shows the verdict on a requirement; a part is missing where its kind has none."""
+    """The evidence for the verdict on a requirement; parts that its kind does not have are None."""
 
     verdict: RequirementVerdict
     body: Footprint | None
@@ -111,20 +111,20 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Verification:
-    """A verdict on a rig, and what shows it."""
+    """A verdict on a rig, and the evidence for it."""
 
     verdict: Verdict
     evidence: tuple[Evidence, ...]  # of each requirement
 
 
 def verification(verifier: Verifier, mounts: Sequence[Mount], on_progress: OnProgress = silent) -> Verification:
-    """The verdict on a rig's mounts, with what shows it. Raises ConfigError as `Verifier.verify` does."""
+    """The verdict on a rig's mounts, with the evidence. Raises ConfigError as `Verifier.verify` does."""
     verdict = verifier.verify(mounts, on_progress)
     return Verification(verdict, evidence(verifier, mounts, verdict))
 
 
 def evidence(verifier: Verifier, mounts: Sequence[Mount], found: Verdict) -> tuple[Evidence, ...]:
-    """What shows each part of a verifier's verdict on mounts, as they are without mounting errors."""
+    """The evidence for each requirement of a verifier's verdict on mounts, without mounting errors."""
     body = verifier.requirements.site.body
     out = []
     for judge, one in zip(verifier.judges, found.requirements, strict=True):

@@ -121,7 +121,7 @@ class Pattern:
     start_rad: float | None = None  # where the first cycle starts, if the encoder triggers it; None: anywhere
 
     def heads_rad(self, phases: int) -> Array:
-        """Where the head is when cycles start, for this many revolutions at evenly shifted phases, cycle by cycle.
+        """(H,) where the head is when cycles start, for this many revolutions at evenly shifted phases, cycle by cycle.
 
         A sensor that its encoder triggers has only one phase.
         """

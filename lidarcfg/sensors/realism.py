@@ -12,7 +12,7 @@ PRESET = "measured"
 
 
 class Realism(Model):
-    """Each is off by default: captures are exact. simulate/echoes.py and echoes.py name the models' sources."""
+    """All are off by default: captures are exact. simulate/echoes.py names the models' sources."""
 
     renamed: ClassVar = {"dropout_share": "dropout_fraction"}
 

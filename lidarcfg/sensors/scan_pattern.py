@@ -1,7 +1,7 @@
 """Scan patterns: the firings of a sensor whose beams do not turn with a head, as a table beside its file.
 
 The table is a CSV with a header or an .npz, with a column each of `COLUMNS`: when a firing comes after the pattern's
-start, where it points, and which channel fires. It holds one frame, or so many that frames walk through it; then it
+start, where it points, and which channel fires. It holds one frame, or many, which frames walk through; then it
 starts again.
 
 An .npz may be packed instead: channels fire in turn at `rate_hz`; rows of `azimuth_steps` and `elevation_steps`, one a

@@ -1,4 +1,4 @@
-"""Sensors whose lasers fire in sequences, on a clock of their own, while the head turns."""
+"""Firing schedules of sensors whose lasers fire in sequences, on the sensor's own clock, while the head turns."""
 
 import math
 from collections.abc import Iterator
@@ -89,7 +89,7 @@ class GenericTiming(SequenceTiming):
             )
 
     def firing_schedule(self, mount: Mount) -> FiringSchedule:
-        """By the sensor's `firing`; without it, all lasers at once at each step of azimuth."""
+        """By the sensor's `firing`; without it, all lasers fire together at each step of azimuth."""
         firing = self.sensor.firing or FIRING
         sequence_ns = firing.sequence_ns or max(round((firing.step_deg or 0) / 360 * MINUTE_NS / mount.rpm), 1)
         offset_ns = np.array(firing.offset_ns or (0,) * self.sensor.count, np.int64)

@@ -169,7 +169,7 @@ class Firing(Model):
     source: str = ""
     step_deg: Annotated[float, Field(gt=0, le=360)] | None = None  # that the head turns from one sequence to the next
     sequence_ns: Annotated[int, Field(gt=0, le=10**9)] | None = None  # or the time from one to the next
-    offset_ns: tuple[Annotated[int, Field(ge=0, le=10**9)], ...] = ()  # of each laser in it; none: all at once
+    offset_ns: tuple[Annotated[int, Field(ge=0, le=10**9)], ...] = ()  # of each laser in it; none: all together
 
     @model_validator(mode="after")
     def _check(self) -> "Firing":
@@ -370,7 +370,7 @@ def _load(path: Path, own: bool = False) -> Sensor:
 
 
 def _meant(name: str, known: Iterable[str]) -> str:
-    """What a name that is not known may mean, and where the known ones are."""
+    """What an unknown name may mean, and where the known names are listed."""
     import difflib  # slow to load, and only for mistakes
 
     plain = {_plain(one): one for one in known}
@@ -383,7 +383,7 @@ def _meant(name: str, known: Iterable[str]) -> str:
 
 
 def _plain(name: str | Path) -> str:
-    """A name without case, blanks and punctuation, which people write in different ways."""
+    """A name in lower case, without blanks and punctuation, which people write in different ways."""
     return re.sub(r"[^a-z0-9]", "", str(name).lower())
 
 

@@ -1,9 +1,9 @@
 """What a rig's sensors report in a scene.
 
-To read in this order: `tasks` says what is fired when, `simulator` what the rays of each firing hit, `echoes` what a
-beam of some width makes of that, and how far off it is reported; `scans` gives the points.
-`lidarcfg.capture.export` makes packets of the same echoes. `returns` counts the returns from an object at a place,
-without any scene, and `beams` says what becomes of each beam there.
+To read in this order: `tasks` splits a drive into firings, `simulator` traces the rays of each firing, `echoes` turns
+what they hit into echoes of a wide beam, with noise; `scans` gives the points. `lidarcfg.capture.export` encodes the
+same echoes as packets. `returns` counts the returns from an object at a place, without any scene, and `beams` says what
+each beam does there.
 """
 
 import lazy_loader

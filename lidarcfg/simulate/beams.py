@@ -21,7 +21,7 @@ ENDS = 1 - 1e-9  # of the way to a hit: the object does not hide itself
 
 
 class Outcome(IntEnum):
-    """What becomes of a beam."""
+    """What happens to a beam."""
 
     PASSES = 0  # beside the object
     RETURNS = 1
@@ -42,7 +42,7 @@ class PassingBeams:
 
     @property
     def returns(self) -> int:
-        """How many beams come back."""
+        """The number of beams that return."""
         return int((self.outcome == Outcome.RETURNS).sum())
 
 

@@ -101,7 +101,7 @@ class Returned:
     """The returns from an object at P places."""
 
     counts: NDArray[np.int32]  # (P, sensors, PHASES)
-    phases: tuple[int, ...]  # (sensors,) so many of the last axis are a sensor's, the others are 0
+    phases: tuple[int, ...]  # (sensors,) how many entries of the last axis are a sensor's; the others are 0
 
     @property
     def worst(self) -> Array:
@@ -254,7 +254,7 @@ def count_clusters(
 ) -> Lowest:
     """The points (P, 1) of the largest cluster of an object's returns at places (P, 4), in the worst case.
 
-    With `lost` sensors gone; of all others together, or with `sensors` of each of so many alone. In the worst of all
+    With `lost` sensors gone: of all others together, or with `sensors`, of each of that many alone. In the worst of all
     combinations of phases if `joint`, else with each sensor in the phase of its fewest returns. Beyond the cap values
     are lower bounds. Also the phases there (P, sensors); -1: lost.
     """

@@ -186,7 +186,7 @@ class SharedThreadPool:
 
 
 class Progress:
-    """The progress of all streams together."""
+    """The progress of all streams taken together."""
 
     def __init__(self, streams: int, on_progress: Callable[[int], None]) -> None:
         self._done_ns = [0] * streams

@@ -1,9 +1,9 @@
 """The viewer: a page in the browser or as one file, Open3D's window, and stills without a screen.
 
 To read in this order: `contents` loads what is shown; `rig_source` writes changed poses into a rig's file; `mounting`
-checks a rig against its study, `bodies` has subspaces and surfaces as meshes, `evaluation` what the page says of a rig.
-`timeline` has what moves, `colours` and `camera` how it looks. `page` makes a page of all this and `server` serves it;
-`still` and `window` draw it without a browser. `web/` is the page's own code.
+checks a rig against its study, `bodies` has subspaces and surfaces as meshes, `evaluation` the figures that the page
+shows of a rig. `timeline` has what moves, `colours` and `camera` how it looks. `page` puts all this on a page and
+`server` serves it; `still` and `window` draw it without a browser. `web/` is the page's own code.
 
 `__init__.pyi` lists the names. Each loads its module on first use.
 """

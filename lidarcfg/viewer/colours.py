@@ -1,4 +1,4 @@
-"""The colours of pages and stills, and of points: bright on dark, and distinct for colour-blind people."""
+"""The colours of pages, stills and points: bright on dark, and distinct for colour-blind people."""
 
 from collections.abc import Sequence
 from typing import Literal, get_args

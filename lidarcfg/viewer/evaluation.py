@@ -31,7 +31,7 @@ def evaluation(study: Study, rig: Rig, worst: int, transparent: bool = False) ->
 
 
 def evaluations(study: Study, rig: Rig, worst: int, with_rates: bool) -> list[dict[str, Any] | None]:
-    """As things are, and where something hides also as if nothing did; with rates where they are asked for."""
+    """The evaluation as it is and, where something hides, also as if nothing did; with detection rates if asked for."""
     found: list[dict[str, Any] | None] = [None, None]
     for transparent in (False, True) if has_obstacles(study) else (False,):
         spaces = _spaces(study, rig, transparent)

@@ -24,7 +24,7 @@ def mirrored_pairs(study: Study, rig: Rig) -> list[tuple[int, int, float]]:
 
 
 def has_its_sensors(study: Study, rig: Rig) -> bool:
-    """Whether a rig has the sensors of a study."""
+    """Whether a rig has exactly the sensors of a study."""
     ours, theirs = ([one.sensor for one in some] for some in (study.slots, rig.mounts))
     return [(one.beams, one.scan_pattern) for one in theirs] == [(one.beams, one.scan_pattern) for one in ours]
 

@@ -136,7 +136,7 @@ class _Handler(BaseHTTPRequestHandler):
         return "", b""
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing is logged."""
+        """Log nothing."""
 
     def _is_local(self) -> bool:
         """Whether the request names this machine; if not, it is refused."""

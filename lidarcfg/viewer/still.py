@@ -54,7 +54,7 @@ AXIS_M = 0.6
 BASE_AHEAD_M = 0.5  # before the triangles of the body that a sensor sits on
 AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
 PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the rest is the view from above
-ABOVE = (0.04, 0.055, 0.95, 0.35)  # its left, bottom, width and height in such a picture
+ABOVE = (0.04, 0.055, 0.95, 0.35)  # the left, bottom, width and height of the view from above in such a picture
 LABELS_EM = 6.0  # at its left, where that is more
 
 
@@ -325,7 +325,7 @@ def name_mounts(axes: "Axes", places: Array, names: list[str], size: float) -> N
 
 
 def _text_pt(picture_height: int) -> float:
-    """The size of letters beside the view from above."""
+    """The font size beside the view from above, in points."""
     return 3 + 7 * picture_height / 1080
 
 

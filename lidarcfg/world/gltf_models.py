@@ -1,4 +1,4 @@
-"""glTF files, of which each node becomes an object; read by trimesh."""
+"""glTF files: each node becomes an object; read by trimesh."""
 
 import struct
 from collections import Counter

@@ -102,7 +102,7 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
 
 @contextmanager
 def _scene_errors(path: Path) -> Iterator[None]:
-    """What NumPy and Pillow raise for a damaged file, as SceneError."""
+    """Turns what NumPy and Pillow raise for a damaged file into SceneError."""
     try:
         yield
     except (*NPZ_ERRORS, OSError) as error:

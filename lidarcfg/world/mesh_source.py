@@ -1,4 +1,4 @@
-"""A mesh where a file of ours names one: the name of its file, or its triangles."""
+"""A mesh as one of our files gives it: the name of a mesh file, or the triangles themselves."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

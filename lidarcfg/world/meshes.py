@@ -1,4 +1,4 @@
-"""Triangle meshes of the shapes in a scene, and of files."""
+"""Triangle meshes: of the shapes in a scene, and read from files."""
 
 import math
 import os
@@ -101,7 +101,7 @@ def place_mesh(mesh: Mesh, item: MeshFile) -> Mesh:
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one."""
+    """Several meshes joined as one."""
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     triangles = [mesh[1] + start for mesh, start in zip(meshes, first, strict=False)]
     return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(triangles)

@@ -26,7 +26,7 @@ def merge_vertices(mesh: Mesh) -> Mesh:
 
 
 def unique_vertices(vertices: Array) -> tuple[Array, Index]:
-    """The different ones of vertices (V, 3), and the number of each vertex among them."""
+    """The distinct vertices among (V, 3), and the number of each vertex among them."""
     bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)  # -0 is 0
     mixed = (bits ^ (bits >> SHIFT)) * MIX
     mixed = (mixed ^ (mixed >> SHIFT)).sum(axis=1, dtype=np.uint64)
@@ -106,7 +106,7 @@ def inside_points(closed: Sequence[Mesh], points: Array) -> Flags:
 
 
 def contains_box(closed: Sequence[Mesh], low: Array, high: Array) -> bool:
-    """Whether a box is certainly inside the components of a closed mesh.
+    """Whether the box from low (3,) to high (3,) is certainly inside the components of a closed mesh.
 
     One corner is, and no triangle's bounds touch it.
     """

@@ -134,7 +134,7 @@ class Solid:
         return np.asarray(flat & (points_m[:, 2] > self.low_m[2]) & (points_m[:, 2] < self.high_m[2]))
 
     def contains_box(self, low_m: Array, high_m: Array) -> bool:
-        """Whether a box is certainly inside."""
+        """Whether the box from `low_m` (3,) to `high_m` (3,) is certainly inside."""
         if isinstance(self.shape, tuple):
             inside_bounds = bool((low_m >= self.low_m).all() and (high_m <= self.high_m).all())
             return inside_bounds and contains_box(self.components, low_m, high_m)
@@ -313,7 +313,7 @@ def object_mesh(scene: Scene, index: int) -> Mesh:
 
 
 def _describe_open(item: SceneObject, edges: Array) -> str:
-    """A message that a body is open, and where."""
+    """A message that says that a body is open, and where."""
     shown = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
     source = f" of {item.file}" if isinstance(item, MeshFile) else ""
     return (

@@ -23,10 +23,10 @@ from lidarcfg.placement.requirements_search import (
 from lidarcfg.placement.search_run import INFEASIBLE
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.sweep import Processes
-from lidarcfg.requirements import sensors
+from lidarcfg.requirements import sensor_counts
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.scenarios import ScenarioRequirement
-from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.sensor_counts import lowest_at
 from lidarcfg.requirements.target import box_target
 from lidarcfg.requirements.trials import RigTrials
 from lidarcfg.requirements.verify import Verifier
@@ -476,8 +476,8 @@ def test_no_sensor_gets_more_returns_than_the_most(model):
         at_m = np.array([0.0, 0.0, size_m[2] / 2]) + distance_m * way / np.linalg.norm(way)
         placed = mount(model, tuple(at_m.tolist()), rng.uniform(-180, 180, 3))
         target = box_target(tuple(size_m.tolist()))
-        scanners = sensors.scanners_of([placed])
-        got = returns(np.zeros((1, 4)), target, scanners, sensors.poses_of([placed])).counts.max()
+        scanners = sensor_counts.scanners_of([placed])
+        got = returns(np.zeros((1, 4)), target, scanners, sensor_counts.poses_of([placed])).counts.max()
         most = most_returns(beams, 0.5 * float(np.linalg.norm(size_m)), distance_m)
         assert got <= most
         closest = max(closest, got / most)

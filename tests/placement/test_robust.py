@@ -251,7 +251,7 @@ def test_a_lidar_turns_about_its_own_axes(rpy_deg):
 @pytest.mark.parametrize(
     ("more", "where"),
     [
-        ("robust: {lost: 3}\n", "robust.lost: to lose 3 of 3 LiDARs leave none; allowed: 1 to 2"),
+        ("robust: {lost: 3}\n", "robust.lost: losing 3 of 3 LiDARs leaves none; allowed: 1 to 2"),
         ("robust: {lost: 0}\n", "robust.lost: 0 is too small; allowed: at least 1"),
         ("robust: {}\n", "robust: asks for nothing; allowed: lost, position_sigma_m, angle_sigma_deg"),
         ("robust: {lost: 1, samples: 4}\n", "robust.samples: needs errors to draw"),

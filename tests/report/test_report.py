@@ -377,5 +377,5 @@ def test_of_very_many_objects_those_are_drawn_that_are_detected_least(tmp_path, 
     assert max(found.detection[name].rate for name in shown) <= rates[12]
     save_evaluation(study, rig, report_inputs(study, rig, found), tmp_path)
     text = (tmp_path / "report.html").read_text()
-    assert "only the 12 are drawn that are detected least" in text
+    assert "Only the 12 objects that are detected least are drawn" in text
     assert all(f"box{n:02}" in text for n in range(20))

@@ -8,7 +8,7 @@ import numpy as np
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement, reached
 from lidarcfg.requirements.places import Stand, Zone
-from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.sensor_counts import lowest_at
 from lidarcfg.requirements.target import box_target
 from tests.returns_cases import box, mount
 from tests.simulate.test_returns import obstacles

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.core import returns as core
-from lidarcfg.requirements.sensors import poses_of, scanners_of
+from lidarcfg.requirements.sensor_counts import poses_of, scanners_of
 from lidarcfg.simulate.returns import ClusterRule, Target, count_clusters, returns
 from lidarcfg.world.meshes import join_meshes
 from lidarcfg.world.tracer import NO_OBSTACLES

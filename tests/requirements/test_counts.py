@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.requirements.objects import reached
-from lidarcfg.requirements.sensors import KeptCounts, lowest_at, poses_of, scanners_of, united
+from lidarcfg.requirements.sensor_counts import KeptCounts, lowest_at, poses_of, scanners_of, united
 from lidarcfg.simulate.returns import Target, returns
 from tests.naive import requirements as naive
 from tests.returns_cases import box, mount
@@ -49,14 +49,14 @@ def test_only_sensors_that_moved_are_cast(monkeypatch):
     first = kept.lowest(MOUNTS, 1000, len(MOUNTS))
     moved = (mount("vlp-16", (1, 0.2, 1.8), (5, 3, 20)), *MOUNTS[1:])
     cast = []
-    from lidarcfg.requirements import sensors
+    from lidarcfg.requirements import sensor_counts
 
     def counted(places, target, scanners, poses, obstacles, cap, wanted, lowest, *others):
         cast.append((lowest.counts < 0).any(axis=0).tolist())
         original(places, target, scanners, poses, obstacles, cap, wanted, lowest, *others)
 
-    original = sensors.count_lowest
-    monkeypatch.setattr(sensors, "count_lowest", counted)
+    original = sensor_counts.count_lowest
+    monkeypatch.setattr(sensor_counts, "count_lowest", counted)
     second = kept.lowest(moved, 1000, len(MOUNTS))
     assert cast == [[True, False, False, False]]
     assert second.counts[:, 1:].tolist() == first.counts[:, 1:].tolist()

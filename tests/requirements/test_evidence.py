@@ -14,7 +14,7 @@ from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.objects import ObjectJudge, reached
 from lidarcfg.requirements.posts import PostPlaces, PostRequirement
-from lidarcfg.requirements.sensors import lowest_at
+from lidarcfg.requirements.sensor_counts import lowest_at
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verifier, verification
 from lidarcfg.sensors.rig import load_rig

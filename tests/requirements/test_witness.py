@@ -5,7 +5,7 @@ import pytest
 
 from lidarcfg.requirements.objects import ObjectJudge
 from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensors import misplaced, scanners_of
+from lidarcfg.requirements.sensor_counts import misplaced, scanners_of
 from lidarcfg.simulate.returns import PHASES
 from tests.naive import requirements as naive
 from tests.requirements.cases import ALL, AROUND, BODY, brute_force, random_rig, requirement, verdict

@@ -75,7 +75,7 @@ def test_a_beam_table_is_enough(tmp_path):
     """Its lasers fire all at once every 0.2 degrees, which a warning says."""
     folder = folder_with(tmp_path)
     result = exported(folder, "a.ply")
-    assert "top: mine has no firing facts; all lasers fire at once, every 0.2 deg" in result.stderr
+    assert "top: mine has no firing facts; all lasers fire together every 0.2 deg" in result.stderr
     cloud = load_cloud(folder / "a.ply", no_warning)
     check(cloud, by_hand(55_556, [0] * 4, 600, 200_000_000 // 55_556))
     assert cloud.object_names == ("ground",)

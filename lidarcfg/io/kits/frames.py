@@ -104,7 +104,7 @@ class FrameTree:
         return tuple(name for name in self.frames if name not in self.joints)
 
     def above(self, name: str) -> tuple[str, ...]:
-        """The frames above one, the nearest first, the root last."""
+        """The ancestors of a frame, nearest first, root last."""
         return self._above.get(name, (name,))[1:]
 
     def base(self) -> str:

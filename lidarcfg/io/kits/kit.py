@@ -27,7 +27,7 @@ OTHERS = re.compile(r"cam|imu|gnss|gps|(^|[_/])ins([_/]|$)|radar|sonar|ultrasoni
 
 
 def guessed_model(*texts: str) -> str | None:
-    """The model of the catalogue that the first of the texts to name one names: its longest name counts."""
+    """The catalogue's model named in the first text that names one; the longest name in it counts."""
     known = {plain(name): name for name in catalogue() if not name.startswith(BEAMS_ONLY)} | ALIASES
     for text in texts:
         found = [name for name in known if name in plain(text)]
@@ -37,7 +37,7 @@ def guessed_model(*texts: str) -> str | None:
 
 
 def plain(text: str) -> str:
-    """A text without case, blanks and punctuation."""
+    """A text in lower case, without blanks and punctuation."""
     return re.sub(r"[^a-z0-9]", "", text.lower())
 
 
@@ -127,7 +127,7 @@ def _is_driver_frame(name: str, tree: FrameTree) -> bool:
 
 
 def _above_hints(name: str, tree: FrameTree, hints: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
-    """What the frame right above says: the base of a sensor's housing, whose mesh is named after the model."""
+    """Hints from the parent frame: the base of a sensor's housing, whose mesh is named after the model."""
     return tuple(text for one in tree.above(name)[:1] for text in hints.get(one, ()))
 
 

@@ -15,7 +15,7 @@ from lidarcfg.io.kits.kit import Frame, Kit
 
 SENSOR = "sensor.json"
 CALIBRATED = "calibrated_sensor.json"
-COPIES = 10  # of a table's file, in memory at once
+COPIES = 10  # of a table's file, in memory at the same time
 KEYS = {  # of the tables of version 1.0, those that are read
     SENSOR: ("token", "channel", "modality"),
     CALIBRATED: ("token", "sensor_token", "translation", "rotation"),

@@ -1,4 +1,4 @@
-"""Which format a kit is in, by its name or by what it holds."""
+"""Reads a kit in any of the formats, told apart by name or by content."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,8 +1,8 @@
 """Hesai's packets.
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
-`telemetry` the files of angles, `encode` and `decode` the returns, `emulator` PTC. `Hesai` is the codec, by
-which the rest of the package knows them.
+`telemetry` the files of angles, `encode` and `decode` the returns, `emulator` PTC. `Hesai` is the codec that the rest
+of the package uses.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -56,7 +56,7 @@ class Hesai(Codec):
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 
     def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        """Those of protocol 1.4 say which parts packets have, and the resolution."""
+        """Measurements of protocol 1.4 say which parts packets have, and the resolution."""
         more = measured.more
         if "said" not in more:
             return super().encode_measurements(mount, measured)
@@ -67,14 +67,14 @@ class Hesai(Codec):
         return bytes_of(encode.encode(unit, mount, batch, measured.range_m, measured.reflectivity))
 
     def fired_ns(self, mount: Mount, batch: Batch, range_m: Array) -> Times:
-        """Some lasers of a Pandar128 have a firing of its own for what is near."""
+        """Some lasers of a Pandar128 have a separate firing for near targets."""
         return encode.fired_ns(unit_of(self.unit, mount), batch, range_m)
 
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, self.unit.packets_of(payloads.data), mount.return_mode, batch.firings.laser)
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
-        """One return alone is the strongest."""
+        """A single return is the strongest."""
         kinds = np.array(super().return_types(mount, range_m, reflectivity))
         if mount.dual and mount.return_mode != "two-strongest":
             kinds = ranked(kinds, self.unit.range.holds_both(range_m), reflectivity)
@@ -112,7 +112,7 @@ class Hesai(Codec):
         return decode.HesaiDecoder(source.where, Unit(sensor, unit.facts), source.driver_view)
 
     def emulator(self, source: Source, packets: Bytes, site: Site) -> HesaiEmulator:
-        """PTC."""
+        """Answers PTC commands."""
         return HesaiEmulator(self.unit, source, site)
 
     def firing_ns(self) -> Times:

@@ -51,7 +51,7 @@ PAIR_KINDS = {  # the nearer return, the farther
 
 
 class PacketFields(NamedTuple):
-    """What P packets say beside their blocks."""
+    """The fields of P packets, without the returns in their blocks."""
 
     unit_mm: Bytes  # (P,) of distances
     start_ns: Times  # (P, B) when each block starts
@@ -63,7 +63,7 @@ class PacketFields(NamedTuple):
 
 
 class Lasers(NamedTuple):
-    """What is known of the L lasers and of when they fire."""
+    """The angles of the L lasers and when they fire."""
 
     cos_elevation: Array
     sin_elevation: Array

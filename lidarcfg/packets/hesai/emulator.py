@@ -1,4 +1,4 @@
-"""Answers drivers as a Hesai does: PTC on TCP port 9347, with angle corrections, firing times and what the sensor is.
+"""Answers drivers as a Hesai does: PTC on TCP port 9347, with angle corrections, firing times and the inventory.
 
 Frames and commands: HesaiLidar_SDK_2.0 2.0.11 (`PtcClient`, `PtcParser`), big endian. Inventories and error codes:
 Nebula (`hesai_cmd_response.hpp`, `hesai_hw_interface.hpp`). A driver can set where datagrams go and whether the sensor
@@ -30,7 +30,7 @@ UNSUPPORTED = 5
 
 
 class Product(NamedTuple):
-    """What an inventory says of a model."""
+    """What an inventory says about a model."""
 
     number: int
     before: int  # bytes of angle offsets before it
@@ -90,7 +90,7 @@ class HesaiEmulator(Emulator):
         return _unknown(command)
 
     def _inventory(self) -> bytes:
-        """What the sensor is; empty for a model of which no source says it."""
+        """The inventory; empty for models whose inventory no source documents."""
         product = PRODUCTS.get(self.name)
         if product is None:
             return b""

@@ -103,7 +103,7 @@ def sent(unit: Unit, packets: Packets, return_mode: str, laser: Bytes) -> Flags:
 
 
 def holds_one(unit: Unit, range_m: Array, reflectivity: Bytes) -> Flags:
-    """(N,): of pairs of ranges (N, 2), which hold one return, or it twice."""
+    """(N,): which pairs of ranges (N, 2) hold a single return, once or twice."""
     least_m, most_m = unit.range.reported_m
     inside = (range_m >= least_m) & (range_m <= most_m)
     units = np.rint(np.where(inside, range_m, 0) / unit.range.resolution_m)
@@ -112,7 +112,7 @@ def holds_one(unit: Unit, range_m: Array, reflectivity: Bytes) -> Flags:
 
 
 def fired_ns(unit: Unit, batch: Batch, range_m: Array) -> Times:
-    """(N, R): when the firings were, of whose returns ranges (N, R) are: near ones may have one of their own."""
+    """(N, R): when the firings of ranges (N, R) were; near returns may come from a separate firing."""
     firings = batch.firings
     time_ns = np.broadcast_to(firings.time_ns[:, None], range_m.shape)
     if unit.facts.firing.near is None or batch.loop is None:

@@ -152,12 +152,12 @@ def is_dual(packets: Packets) -> Flags:
 
 
 def encoder_rad(azimuth: NDArray[np.integer]) -> Array:
-    """Where the head points, clockwise from the x axis, of azimuths in hundredths clockwise from the y axis."""
+    """Head angles clockwise from the x axis, of azimuths, in any shape, in hundredths of a degree from the y axis."""
     return np.asarray((azimuth.astype(np.int64) - QUARTER) % REVOLUTION * RADIANS)
 
 
 def azimuth_of(encoder_rad: Array) -> NDArray[np.int64]:
-    """The inverse, rounded."""
+    """Azimuths in hundredths of a degree of head angles, in any shape: the inverse of `encoder_rad`, rounded."""
     return np.asarray((np.rint(encoder_rad / RADIANS).astype(np.int64) + QUARTER) % REVOLUTION)
 
 

@@ -1,4 +1,4 @@
-"""The key `hesai` of a sensor's file, the facts of its packets; and when and where each laser fires."""
+"""The key `hesai` of a sensor's file: the facts of its packets, and when and where each laser fires."""
 
 from collections.abc import Iterator
 from functools import lru_cache
@@ -33,7 +33,7 @@ Loops = Annotated[tuple[Loop, ...], Field(min_length=1, max_length=4)]
 
 
 class NearFiring(Model):
-    """When lasers fire for what is near: some have a firing of its own for that."""
+    """When lasers fire for near targets; some lasers have a separate firing for these."""
 
     below_m: Annotated[float, Field(gt=0, le=1e3)]  # returns from nearer are of these
     loops: Loops
@@ -105,12 +105,12 @@ class Packet(Model):
 
     @property
     def header_model(self) -> int:
-        """Byte 4 of what is sent."""
+        """Byte 4 of the packets that are sent."""
         return self.models[0] if self.models else MODEL[self.protocol]
 
     @property
     def header_flags(self) -> int:
-        """The header's flags of what is sent."""
+        """The header's flags of the packets that are sent."""
         return FLAGS[self.protocol] if self.flags is None else self.flags
 
 
@@ -152,7 +152,7 @@ class Unit(SensorInstance[Facts]):
 
     @property
     def dtype(self) -> np.dtype[np.void]:
-        """Its packet."""
+        """The dtype of its packet."""
         packet_facts = self.facts.packet
         return packet(packet_facts.protocol, self.count, packet_facts.blocks, packet_facts.header_flags)
 
@@ -217,7 +217,7 @@ class Unit(SensorInstance[Facts]):
         return before * self.facts.firing.period_ns + self.facts.firing.stamp_ns
 
     def driver_group_ns(self, dual: bool) -> Times:
-        """The same in Hesai's SDK, where the first firing of a QT128's packet starts after the stamp, not the last."""
+        """(G,): `group_ns` in Hesai's SDK, where the first firing of a QT128 starts after the stamp, not the last."""
         late_ns = self._counts_from_start * (self.groups(dual) - 1) * self.facts.firing.period_ns
         return self.group_ns(dual) + late_ns
 
@@ -283,7 +283,7 @@ def unit_of(unit: Unit, mount: Mount) -> Unit:
 
 
 def batches(unit: Unit, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-    """The firings of so many packets' time, `chunk` packets at a time.
+    """The firings in the time of this many packets, `chunk` packets at a time.
 
     Packet 0's lasers start to fire `stamp_ns` after `start_ns`, or at it if their stamp is later. With an azimuth field
     of view, packets are sent in which some firing lies within it.
@@ -333,7 +333,7 @@ def _firings(unit: Unit, mount: Mount, start_ns: int, numbers: range) -> tuple[F
 
 
 def within(mount: Mount, encoder_rad: Array) -> Flags:
-    """Whether the head points into the mount's field of view."""
+    """Whether the head points into the mount's field of view, for head angles in any shape."""
     if mount.azimuth_fov_deg is None:
         return np.ones(encoder_rad.shape, np.bool_)
     low, high = mount.azimuth_fov_deg

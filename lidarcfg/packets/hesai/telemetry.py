@@ -1,4 +1,4 @@
-"""Angle correction and firing time files, which Hesai's SDK reads: the packets do not carry what they hold."""
+"""Angle correction and firing time files, as Hesai's SDK reads them. The packets carry neither."""
 
 import re
 from collections.abc import Mapping

@@ -2,7 +2,7 @@
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
 `encode` and `decode` the points, `telemetry` the inertial measurements, `commands` what drivers ask a sensor and
-`emulator` what it answers. `Livox` is the codec, by which the rest of the package knows them.
+`emulator` what it answers. `Livox` is the codec that the rest of the package uses.
 """
 
 from collections.abc import Iterator
@@ -91,7 +91,7 @@ class Livox(PatternTiming, Codec):
 
     @classmethod
     def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
-        """By the rate of points."""
+        """Models are told apart by the rate of points."""
         return decode.identify(packets, [unit(one) for one in known()]).sensor
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
@@ -99,7 +99,7 @@ class Livox(PatternTiming, Codec):
         return decode.LivoxDecoder(source.where, self.unit, kind, points)
 
     def emulator(self, source: Source, packets: Bytes, site: Site) -> Emulator:
-        """Discovery and commands."""
+        """Answers discovery and commands."""
         kind, _ = decode.kind_of(source.where, packets)
         return LivoxEmulator(self.unit, kind, source.port, site)
 
@@ -108,7 +108,7 @@ class Livox(PatternTiming, Codec):
         return headers_of(packets)["type"].astype(np.int64)
 
     def firing_ns(self) -> Times:
-        """(L,): in turn."""
+        """(L,): the lasers fire in turn."""
         pattern = self.unit.sensor.pattern
         first = [int(np.argmax(pattern.channel == channel)) for channel in range(pattern.channels)]
         return np.asarray(pattern.time_ns[first] - pattern.time_ns[0])

@@ -178,11 +178,6 @@ def set_data(values: Mapping[int, bytes]) -> bytes:
     return struct.pack("<HH", len(values), 0) + listed(list(values.items()))
 
 
-def get_data(keys: Sequence[int]) -> bytes:
-    """The data of a GET."""
-    return struct.pack(f"<HH{len(keys)}H", len(keys), 0, *keys)
-
-
 def set_answer(code: Code, key: int = 0) -> bytes:
     """The data of the answer to a SET: the key is that which is wrong."""
     return struct.pack("<BH", code, key)

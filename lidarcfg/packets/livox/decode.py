@@ -1,4 +1,4 @@
-"""Decodes packets of points, which hold coordinates: no angles are needed, and the model only to number the lines."""
+"""Decodes packets of points. They hold coordinates, so no angles are needed, and the model only to number the lines."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -47,7 +47,7 @@ class LivoxDecoder(Decoder):
         return stamps_ns(headers_of(packets))
 
     def heading_rad(self, packets: Bytes) -> Array:
-        """Frames begin at multiples of their length on the device's clock, as livox_ros_driver2 has them."""
+        """(P,) the phase in a frame; frames begin at multiples of their length, as in livox_ros_driver2."""
         frame_ns = self._unit.sensor.pattern.frame_ns
         return np.asarray(np.mod(stamps_ns(headers_of(packets)), frame_ns) * (2 * math.pi / frame_ns))
 

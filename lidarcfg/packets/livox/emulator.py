@@ -30,7 +30,7 @@ HOSTS = {Key.STATE_HOST: "its state", Key.POINT_HOST: "points", Key.IMU_HOST: "i
 
 
 class LivoxEmulator(Emulator):
-    """One sensor, of which a capture has packets of this kind, sent to this port."""
+    """One Livox, whose packets in the capture hold this kind of points and go to this port."""
 
     own_ports = True
 
@@ -118,7 +118,7 @@ class LivoxEmulator(Emulator):
         return _target(values[Key.POINT_HOST if points else Key.IMU_HOST])
 
     def payload(self, captured: bytes, later_ns: int) -> bytes:
-        """The same, stamped later."""
+        """The datagram, stamped later."""
         if not later_ns or len(captured) < HEADER.itemsize:
             return captured
         data = np.frombuffer(captured, np.uint8)[None].copy()
@@ -141,7 +141,7 @@ class LivoxEmulator(Emulator):
         return Answer(commands.pack(answer), message)
 
     def pushed(self) -> tuple[bytes, Target]:
-        """What the sensor says of itself once a second, and where that goes."""
+        """The state that the sensor reports once a second, and where it goes."""
         data = commands.set_data(self._values)
         frame = Frame(0, Command.PUSH, commands.REQUEST, commands.SENSOR, data)
         return commands.pack(frame), _target(self._values[Key.STATE_HOST])
@@ -171,7 +171,7 @@ class LivoxEmulator(Emulator):
         return commands.get_answer(Code.DONE, [(key, values[key]) for key in keys if key in values]), message
 
     def _set(self, data: bytes) -> tuple[bytes, str]:
-        """All of it, or nothing."""
+        """Set all parameters, or none."""
         try:
             asked = commands.values_of(data)
         except ValueError as error:

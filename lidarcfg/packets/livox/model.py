@@ -39,7 +39,7 @@ class Inertial(Model):
 
 
 class Device(Model):
-    """What the sensor says of itself when a driver asks."""
+    """What the sensor tells a driver that asks about it."""
 
     source: str = ""
     type: Byte

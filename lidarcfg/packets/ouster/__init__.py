@@ -2,7 +2,7 @@
 
 To read in this order: `layout` has the bytes, `model` what they depend on and when columns are measured, `telemetry`
 the metadata and the inertial measurements, `encode` and `decode` the returns, `emulator` the HTTP interface. `Ouster`
-is the codec, by which the rest of the package knows them.
+is the codec that the rest of the package uses.
 """
 
 import math
@@ -60,7 +60,7 @@ class Ouster(Codec):
         return encode.sent(self._mode(mount), payloads.data)
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
-        """Of two the stronger comes first, and the other is the second strongest."""
+        """Of two returns the stronger comes first; the other is the second strongest."""
         if mount.return_mode != "dual" or self._mode(mount).nearest_first:
             return super().return_types(mount, range_m, reflectivity)
         return encode.return_types(self.unit, range_m, reflectivity)
@@ -80,7 +80,7 @@ class Ouster(Codec):
         return {telemetry.SUFFIX: telemetry.metadata_file(self.unit, self._mode(mount), mount)}
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """The layout is the metadata's."""
+        """The metadata has the layout."""
         return decode.measurements(telemetry.find_metadata(source, packets).layout, packets, host_ns)
 
     def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
@@ -99,7 +99,7 @@ class Ouster(Codec):
         return named[0] if named else telemetry.unknown_sensor(metadata, known()[0])
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        """Beams are those that the metadata says."""
+        """The metadata has the beams."""
         metadata = telemetry.find_metadata(source, packets)
         sensor = self.unit.sensor
         if metadata.layout.pixels != sensor.count:
@@ -108,11 +108,11 @@ class Ouster(Codec):
         return decode.OusterDecoder(source.where, metadata, sensor.name)
 
     def emulator(self, source: Source, packets: Bytes, site: Site) -> OusterEmulator:
-        """The HTTP interface."""
+        """Answers HTTP requests."""
         return OusterEmulator(source, packets, site)
 
     def firing_ns(self) -> Times:
-        """All fire at once."""
+        """All lasers fire at the same time."""
         return np.zeros(self.unit.sensor.count, np.int64)
 
     def pattern(self, mount: Mount) -> Pattern:

@@ -144,7 +144,7 @@ class OusterDecoder(Decoder):
         return returns
 
     def driver_columns(self, packets: Bytes, wanted: Flags) -> dict[str, NDArray[Any]]:
-        """What the profile does not have is 0, as with ouster-ros."""
+        """Fields that the profile does not have are 0, as with ouster-ros."""
         layout = self._layout
         packets = np.ascontiguousarray(_select(packets, wanted))
         found = unpack(layout, packets)

@@ -56,7 +56,7 @@ class Request:
     client: str  # the address that sends it
 
     def flag(self, key: str, default: bool) -> bool:
-        """A yes or no of its query."""
+        """A boolean of its query."""
         return self.query.get(key, str(default)).lower() == "true"
 
     def __str__(self) -> str:
@@ -117,7 +117,7 @@ class OusterEmulator(Emulator):
         return _response(HTTPStatus.OK, value, f"sets {message}" if message else "")
 
     def _value(self, asked: Request) -> object | None:
-        """The answer's value, of which the body is JSON; None: there is nothing. Raises RefusedError."""
+        """The value whose JSON is the answer's body; None: there is nothing. Raises RefusedError."""
         if asked.path == "sensor/config" and asked.method == "POST":
             return self._configure(_object(asked.body), asked)
         if asked.method != "GET":
@@ -162,7 +162,7 @@ class OusterEmulator(Emulator):
         return {}
 
     def _stage(self, settings: Config, client: str) -> None:
-        """Take settings over, of which `reinit` makes the active ones. Raises RefusedError."""
+        """Stage settings, which `reinit` makes active. Raises RefusedError."""
         taken = {key: client if value == "@auto" and key in HOST_KEYS else value for key, value in settings.items()}
         for key, value in taken.items():
             if not (key in self._staged and value == self._staged[key]) and not _allowed(key, value):

@@ -31,7 +31,7 @@ MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signa
 
 
 class RangeLimits(NamedTuple):
-    """What packets can say of lengths."""
+    """The ranges that packets can hold."""
 
     least_m: float
     most_m: float
@@ -120,7 +120,7 @@ def encode_measurements(measured: Measurements) -> Bytes:
 
 
 def _facts(found: Measurements) -> dict[str, Any]:
-    """What is said of layout and headers. Raises PacketError if it makes no sense."""
+    """The layout and headers that are described. Raises PacketError if they make no sense."""
     try:
         facts: dict[str, Any] = json.loads(str(found.more["said"]))
         sizes = {key: value for key, value in facts["layout"].items() if key != "name"}

@@ -182,7 +182,7 @@ class Layout:
         return self.bits_of(list(self.profile.fields))
 
     def bits_of(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """(F, 3) the same of some fields; without a mask those that the profile does not have."""
+        """(F, 3) `bits` of some fields; those that the profile does not have get mask 0."""
         none = Field(0, 0)
         found = [self.profile.fields.get(name, none) for name in names]
         return np.array([(field.bit // 32, field.bit % 32, field.most) for field in found], np.int64)
@@ -203,7 +203,7 @@ def column_values(layout: Layout, packets: Bytes, dtype: str, at: int) -> NDArra
 
 
 def column_headers(layout: Layout, packets: Bytes) -> ColumnHeaders:
-    """The headers of the columns."""
+    """The headers of the columns in packets (P, size)."""
     if layout.legacy:
         valid = column_values(layout, packets, "<u4", layout.column - 4) == LEGACY_VALID
     else:
@@ -217,7 +217,7 @@ def column_headers(layout: Layout, packets: Bytes) -> ColumnHeaders:
 
 
 def packet_headers(layout: Layout, packets: Bytes) -> PacketHeaders:
-    """The headers of the packets; serial number, states and countdowns are the first packet's."""
+    """The headers of packets (P, size); serial number, states and countdowns are the first packet's."""
     if layout.legacy:
         return PacketHeaders(values(packets, "<u2", 10).astype(np.int64), 0, 0)
     fusa = layout.profile.header == "fusa"
@@ -261,7 +261,7 @@ def add_frames(layout: Layout, packets: Bytes, count: int) -> None:
 
 
 def write_column_headers(layout: Layout, packets: Bytes, headers: ColumnHeaders) -> None:
-    """Write the columns' stamps, numbers and states."""
+    """Write the stamps, numbers and states of the columns in packets (P, size)."""
     column_values(layout, packets, "<u8", 0)[:] = headers.time_ns
     column_values(layout, packets, "<u2", 8)[:] = headers.measurement
     if layout.legacy:

@@ -221,7 +221,7 @@ def measurements(mode: Mode, number: Times) -> Times:
 
 
 def in_window(mode: Mode, measurement: Times) -> Flags:
-    """Which columns are measured."""
+    """Which columns, numbered in any shape, are in the azimuth window and so measured."""
     first, last = mode.window
     count = mode.layout.columns_per_frame
     return np.asarray((measurement - first) % count <= (last - first) % count)
@@ -246,7 +246,7 @@ def phase(mode: Mode, start_ns: int, phase_deg: float | None) -> tuple[int, int]
 
 
 def _firings(mode: Mode, number: Times, time_ns: Times) -> Firings:
-    """All lasers of a column fire at once."""
+    """All lasers of a column fire at the same time."""
     lasers = mode.layout.pixels
     count = mode.layout.columns_per_frame
     turned = (measurements(mode, number) / count + 0.5) % 1

@@ -1,6 +1,6 @@
-"""What an Ouster says of itself: metadata, a JSON file without which its packets cannot be decoded; and its motion.
+"""What an Ouster reports about itself: metadata, the JSON file that decoding needs, and inertial measurements.
 
-Inertial measurements have gravity in them.
+Inertial measurements include gravity.
 """
 
 import json
@@ -245,9 +245,9 @@ def find_metadata(source: Source, packets: Bytes) -> Metadata:
     payload = packets[0].tobytes()
     beside = _metadata_beside(source, size)
     if not beside:
-        what = f"an Ouster's packets of {size} bytes need the sensor's metadata in a .json beside the capture"
+        what = f"an Ouster's packets of {size} bytes need the sensor's metadata, a .json named as the capture beside it"
         there = ", ".join(source.sidecar_files(SUFFIX))
-        raise PacketError(f"{source.where}: {what}, called as it" + (f"; {there} is not that" if there else ""))
+        raise PacketError(f"{source.where}: {what}" + (f"; {there} is not that" if there else ""))
     fit = [one for one in beside if is_lidar_packet(one.layout.name, payload)]
     same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
     if not same:
@@ -266,7 +266,7 @@ def _serial(one: Metadata, packets: Bytes) -> int:
 
 
 def _alike(one: Metadata, other: Metadata) -> bool:
-    """Whether both metadata give the same points."""
+    """Whether both metadata decode to the same points."""
     return (
         (one.layout, one.start_m, one.window) == (other.layout, other.start_m, other.window)
         and np.array_equal(one.elevation_rad, other.elevation_rad)

@@ -1,8 +1,8 @@
 """RoboSense's packets.
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
-`telemetry` what a sensor says of itself, `encode` and `decode` the returns. `Robosense` is the codec, by which the
-rest of the package knows them.
+`telemetry` what a sensor reports about itself, `encode` and `decode` the returns. `Robosense` is the codec that the
+rest of the package uses.
 """
 
 from collections.abc import Iterator
@@ -82,7 +82,7 @@ class Robosense(SequenceTiming, Codec):
             yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
 
     def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """What DIFOP packets say."""
+        """The return modes that DIFOP packets report."""
         found = decode.return_modes(self.unit, source, packets)
         if found is not None:
             return found

@@ -75,7 +75,10 @@ class DecodeTables:
 
 
 def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> DecodeTables:
-    """With the DIFOP packet's angles; else the file's, if these packets (P,) are of that very model."""
+    """The tables, with the DIFOP packet's angles or else the file's, if these packets (P,) are of that model.
+
+    Raises PacketError if they are not.
+    """
     mode = difop.return_mode if difop else ""
     if unit.series.says_dual and (mode == "dual") != is_dual(unit, first):
         mode = ""

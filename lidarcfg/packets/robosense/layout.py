@@ -1,4 +1,4 @@
-"""RoboSense's packets, byte by byte: MSOP holds returns, DIFOP what the sensor says of itself; 1248 bytes each.
+"""RoboSense's packets, byte by byte: MSOP holds returns, DIFOP describes the sensor; 1248 bytes each.
 
 Layout: manuals of Helios 16 and Helios 32, V1.1, tables 11 to 14 and appendix C; what MSOP reserves, by a recording.
 Airy's: its manual, V1.3 (RoboSense-Robotics/product-manual, docs/en/Airy.md at b399c0f), tables 9 to 12 and appendix C;

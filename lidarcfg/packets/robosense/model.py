@@ -1,4 +1,4 @@
-"""The key `robosense` of a sensor's file: the facts of its packets, when its lasers fire, where returns stand."""
+"""The key `robosense` of a sensor's file: the facts of its packets, when lasers fire, where packets have returns."""
 
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -16,7 +16,7 @@ from lidarcfg.sensors.sensor import Byte, Port, Sensor
 
 
 class Driver(Model):
-    """When the maker's driver has lasers fire, where that differs: what `decode --driver-view` takes."""
+    """When lasers fire according to the maker's driver, where that differs; `decode --driver-view` uses it."""
 
     source: str = ""
     offset_ns: tuple[Nanoseconds, ...]  # after the block's azimuth, by the place of a return in it

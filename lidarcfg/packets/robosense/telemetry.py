@@ -34,7 +34,7 @@ from lidarcfg.units import SECOND_NS
 if TYPE_CHECKING:
     from lidarcfg.world.motion import Trajectory
 
-SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns
+SEARCHED = 8192  # packets of a host; one of them should be its DIFOP: 2.7 s of a Helios-32 with dual returns
 ANGLE_MAX = 9000  # hundredths of a degree
 UNUSED = 0xFF
 
@@ -171,7 +171,7 @@ def all_difops(source: Source, series: Series) -> Packets:
 
 
 def _read(packet: Packets, series: Series) -> Difop:
-    """What one (1,) says."""
+    """The contents of one packet (1,)."""
     vertical = packet["vertical"][0]
     horizontal = packet["horizontal"][0]
     good = (vertical["sign"] <= 1) & (vertical["hundredths"] <= ANGLE_MAX)

@@ -1,8 +1,8 @@
 """Velodyne's packets.
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
-`telemetry` what a sensor says of itself, `encode` and `decode` the returns. `Velodyne` is the codec, by which the rest
-of the package knows them.
+`telemetry` what a sensor reports about itself, `encode` and `decode` the returns. `Velodyne` is the codec that the rest
+of the package uses.
 """
 
 from collections.abc import Iterator, Sequence
@@ -64,7 +64,7 @@ class Velodyne(SequenceTiming, Codec):
         return encode.sent(self.unit, mount.return_mode, packets_of(payloads.data))
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
-        """By strength before what an HDL-64E's calibration makes of it."""
+        """By strength before an HDL-64E's calibration corrects it."""
         types = super().return_types(mount, range_m, reflectivity)
         return ranked(types, self.unit.range.holds_both(range_m), reflectivity) if mount.dual else types
 
@@ -80,7 +80,7 @@ class Velodyne(SequenceTiming, Codec):
         return decode.measurements(self.unit, packets_of(packets), host_ns)
 
     def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        """With the intensities beside no return, and azimuths of 36000, as recorded."""
+        """Keeps intensities where there is no return, and azimuths of 36000, as recorded."""
         return bytes_of(encode.encode_measurements(self.unit, measured))
 
     @classmethod

@@ -117,7 +117,7 @@ def decode(
 
 
 def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool) -> Returns:
-    """The same for packets that are all dual or all single."""
+    """`decode` for packets that are all dual or all single."""
     facts = unit.packet
     order = slots(facts, dual)
     span = unit.span(dual)

@@ -134,5 +134,5 @@ def _block_azimuths(unit: Unit, fired: Firings, dual: bool) -> NDArray[np.int64]
 
 
 def _limits(unit: Unit) -> tuple[float, float, float, float]:
-    """What is reported, from and to, in metres; the packet's unit; and how many of them it can say."""
+    """The reported range, from and to, in metres; the packet's unit; and how many units it can hold."""
     return *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)

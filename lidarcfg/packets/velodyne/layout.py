@@ -47,7 +47,7 @@ def bytes_of(packets: NDArray[np.void]) -> Bytes:
 
 
 def stamp_us(time_ns: Times) -> Times:
-    """Device time as packets say it: microseconds past the hour, rounded."""
+    """(P,) packets' stamps of device times (P,): microseconds past the hour, rounded."""
     return np.asarray((time_ns + 500) // 1000 % HOUR_US)
 
 
@@ -58,6 +58,6 @@ def gaps_ns(stamp_us: NDArray[np.uint32]) -> Times:
 
 
 def device_time_ns(stamp_us: NDArray[np.uint32], host_time_ns: Times) -> Times:
-    """Device time since 1970 from stamps past the hour: the hour that brings them nearest to host time."""
+    """(P,) device times since 1970 from stamps (P,) past the hour: in the hour that is nearest to host times (P,)."""
     past_hour = stamp_us.astype(np.int64) * 1000
     return past_hour + (host_time_ns - past_hour + HOUR_NS // 2) // HOUR_NS * HOUR_NS

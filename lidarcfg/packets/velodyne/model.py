@@ -1,4 +1,4 @@
-"""What a sensor's file says under `velodyne`, and a rig's of a mount: layout of packets, timing, corrections."""
+"""The key `velodyne` of a sensor's file and of a mount: the layout of packets, timing, corrections."""
 
 from functools import lru_cache
 from typing import Annotated, Any, Literal

@@ -1,4 +1,4 @@
-"""What a sensor says of itself: status bytes with its calibration, and position packets with an NMEA sentence.
+"""What a sensor reports about itself: status bytes with its calibration, and position packets with an NMEA sentence.
 
 Some models send status bytes instead of return mode and product id, one type and value a packet. After each cycle's
 letters (clock and state) come seven bytes of the calibration: a mark, two thresholds, a record of 28 bytes for each
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 MARK = b"UNIT#"
 HEAD = 7  # bytes
 ROW = 7
-ROWS = 4  # of a record, of which the calibration takes three
+ROWS = 4  # of a record; the calibration takes three
 RECORD = 28  # bytes
 LASERS = 64
 LENGTH = HEAD + LASERS * RECORD + 3 * ROW
@@ -283,7 +283,7 @@ def inertial(facts: Inertial, acceleration_g: Array, rate_deg_s: Array) -> NDArr
 def sentences(
     unit: Unit, settings: Settings, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, times_ns: Times
 ) -> list[bytes]:
-    """What the sensor has of its receiver at these times (n,): its last sentence, with a fix if its pulse is locked."""
+    """The GPS receiver's last sentence at each of these times (n,), with a fix if its pulse is locked."""
     facts = unit.facts.position_packet
     period_ns = SECOND_NS // settings.fix_rate_hz
     if settings.pps == "absent":
@@ -336,7 +336,7 @@ def gprmc(
 
 
 def _degrees(angle_deg: float, digits: int, signs: str) -> str:
-    """As NMEA says it: degrees, minutes with seven decimals, hemisphere; rounded once, in whole units."""
+    """An angle in NMEA's form: degrees, minutes with seven decimals, hemisphere; rounded once, in whole units."""
     degrees, units = divmod(round(abs(angle_deg) * 60 * 10**7), 60 * 10**7)
     minutes, decimals = divmod(units, 10**7)
     return f"{degrees:0{digits}d}{minutes:02d}.{decimals:07d},{signs[angle_deg < 0]}"

@@ -1,4 +1,13 @@
-"""The solvers, by the name that a study gives them. Each is imported when it is used."""
+"""The solvers, by the name that a study gives them. Each is imported when it is used.
+
+To read in this order: `search` is the protocol; `bee_colony`, `cma_es`, `lshade` and `annealing` are an algorithm each;
+`auto`, the default, combines two of them.
+
+A new solver is a module here with a class that implements `search.Search`: `ask` gives trials in the unit cube, `tell`
+gets their costs, and `sources`, `mean_cost`, `cycles`, `best_x` and `best_cost` say how far it is. `search.Best` and
+`search.Runs` are bases for it. Its name goes into `SOLVERS` below, `Solver.method` in `placement/study_file.py`,
+`--solver` in `cli/optimize.py`, `describe_solver` in `report/describe.py`, and the methods in docs/optimise.md.
+"""
 
 from collections.abc import Callable
 

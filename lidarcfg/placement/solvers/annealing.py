@@ -51,7 +51,7 @@ REFINING = 0.25  # the work of refining what a round found, by the round's
 
 
 class Annealing:
-    """One run of about so much work for each population; `over` once it is done.
+    """One run with about `work` for each population; `over` once that is done.
 
     Coordinates of a group move together. `start` (dimensions,): where all chains begin, less hot; without it each one
     begins at a random point. With `smoothing`, costs are smoothed, but now and then, and at the end, it asks for those
@@ -184,14 +184,14 @@ class Annealing:
 
 
 def _counterparts(kind: NDArray[np.int64], members: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(groups, dimensions): what means the same as a coordinate in each group; else the coordinate itself."""
+    """(groups, dimensions): the coordinate that means the same in each group; without one, the coordinate itself."""
     alike = members[:, None, :] & (kind[:, None] == kind)
     out: NDArray[np.int64] = np.where(alike.any(axis=2), alike.argmax(axis=2), np.arange(len(kind)))
     return out
 
 
 class AnnealingRounds(Runs):
-    """Rounds of annealing: a short one, for who cannot wait, then longer and longer ones.
+    """Rounds of annealing: first a short one, for an early result, then longer and longer ones.
 
     The best end of a round so far is refined by another run. `start` (dimensions,), if given, is refined before the
     first round.

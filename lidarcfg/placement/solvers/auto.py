@@ -1,8 +1,8 @@
 """The default search: a little CMA-ES, then annealing (docs/evidence/benchmarks.md has what this gains).
 
 Where LiDARs have little room, CMA-ES from the best of some random points is the quickest to a good rig. But it is a
-local search that moves everything at once. So annealing follows, whose chains move one group of coordinates at a time:
-it refines that rig, then begins anew, for longer and longer.
+local search that moves all coordinates at the same time. So annealing follows, whose chains move one group of
+coordinates at a time: it refines that rig, then begins anew, for longer and longer.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""The sensors of a rig, each cast alone at an object's places; what is known of those that did not move is kept."""
+"""Returns sensor by sensor: each is cast alone at an object's places, and its counts are kept until it moves."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ OnPlaces = Callable[[int], None]
 
 
 def no_progress(count: int) -> None:
-    """Nobody wants to know."""
+    """Ignore progress."""
 
 
 def scanners_of(mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
@@ -44,7 +44,7 @@ def poses_of(mounts: Sequence[Mount]) -> Poses:
 
 
 def misplaced(mounts: Sequence[Mount], errors: Array) -> tuple[Mount, ...]:
-    """The mounts with mounting errors (mounts, 6) added."""
+    """The mounts with errors (mounts, 6) added to their poses: metres and radians."""
     poses = np.array([(*mount.position_m, *mount.rpy_rad) for mount in mounts])
     off = mounted(poses, errors).tolist()
     return tuple(
@@ -55,7 +55,7 @@ def misplaced(mounts: Sequence[Mount], errors: Array) -> tuple[Mount, ...]:
 
 @dataclass
 class Column:
-    """What is known of a sensor at a pose."""
+    """The counts known of a sensor at one pose."""
 
     mount: Mount
     cap: int
@@ -121,7 +121,7 @@ class KeptCounts:
 def lowest_at(
     places: Array, target: Target, mounts: Sequence[Mount], obstacles: Obstacles, cap: int, wanted: int
 ) -> Lowest:
-    """The mounts' lowest counts at places (P, 4), of which nothing is kept."""
+    """The mounts' lowest counts at places (P, 4); nothing is kept."""
     shape = len(places), len(mounts)
     lowest = Lowest(np.full(shape, -1, np.int32), np.zeros(shape, np.int8))
     count_lowest(places, target, scanners_of(mounts), poses_of(mounts), obstacles, cap, wanted, lowest)
