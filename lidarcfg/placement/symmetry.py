@@ -20,7 +20,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.requirements.objects import ObjectRequirement
 from lidarcfg.requirements.places import Stand
 from lidarcfg.requirements.posts import PostRequirement
-from lidarcfg.requirements.scenarios import ScenarioRequirement
+from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
 
 NEAR_M = 1e-3  # by which corners of mirrored bodies may differ
 SAME = 1e-9  # metres and radians, by which bounds may

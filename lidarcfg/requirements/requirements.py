@@ -13,7 +13,6 @@ from lidarcfg.config.models import error_at, errors_at, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.requirements.braking import EMERGENCY
-from lidarcfg.requirements.detection import NO_SPEEDS, RETURNS, Rule, approach_of
 from lidarcfg.requirements.file import HEADINGS_DEG, RequirementFile, RequirementsFile
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import ObjectRequirement
@@ -22,7 +21,8 @@ from lidarcfg.requirements.posts import LIMIT_M, PostPlaces, PostRequirement
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.robustness import Robust
 from lidarcfg.requirements.scenario import Extent, load_scenario
-from lidarcfg.requirements.scenarios import ScenarioRequirement
+from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
+from lidarcfg.requirements.scenario_run import NO_SPEEDS, RETURNS, Rule, approach_of
 from lidarcfg.requirements.shadow import HEIGHT_M, WITHIN_M, ShadowRequirement
 from lidarcfg.requirements.sight import Bounds
 from lidarcfg.requirements.target import target_of

@@ -21,7 +21,7 @@ from lidarcfg.requirements.posts import PostRequirement
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.robustness import mounted
-from lidarcfg.requirements.scenarios import ScenarioRequirement
+from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
 from lidarcfg.requirements.sensor_counts import scanners_of, united
 from lidarcfg.requirements.shadow import ShadowRequirement
 from lidarcfg.sensors.rig import Mount

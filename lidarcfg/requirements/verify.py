@@ -10,7 +10,6 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.detection import ScenarioResult
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import MountMargins
 from lidarcfg.requirements.objects import CAP_MAX, ObjectJudge, ObjectRequirement, PlaceCounts, object_judges
@@ -18,7 +17,8 @@ from lidarcfg.requirements.places import Zone
 from lidarcfg.requirements.posts import PostRequirement, PostVisibility
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
-from lidarcfg.requirements.scenarios import ScenarioRequirement
+from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
+from lidarcfg.requirements.scenario_run import ScenarioResult
 from lidarcfg.requirements.sensor_counts import lowest_at
 from lidarcfg.requirements.shadow import STEP_M as SHADOW_STEP_M
 from lidarcfg.requirements.shadow import ShadowRequirement

@@ -25,7 +25,7 @@ from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.sweep import Processes
 from lidarcfg.requirements import sensor_counts
 from lidarcfg.requirements.requirements import Requirements
-from lidarcfg.requirements.scenarios import ScenarioRequirement
+from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
 from lidarcfg.requirements.sensor_counts import lowest_at
 from lidarcfg.requirements.target import box_target
 from lidarcfg.requirements.trials import RigTrials

@@ -14,8 +14,8 @@ from lidarcfg.packets.families import timing
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
-from lidarcfg.requirements.detection import Rule, check_scenario
 from lidarcfg.requirements.scenario import load_scenario
+from lidarcfg.requirements.scenario_run import Rule, check_scenario
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.sensors.scan_pattern import load_scan_pattern
 from lidarcfg.sensors.sensor import load_sensor

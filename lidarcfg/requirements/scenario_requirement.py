@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from lidarcfg.requirements.braking import EMERGENCY, Braking
-from lidarcfg.requirements.detection import Rule, ScenarioCase, ScenarioResult, check_scenario
 from lidarcfg.requirements.scenario import Scenario
+from lidarcfg.requirements.scenario_run import Rule, ScenarioCase, ScenarioResult, check_scenario
 from lidarcfg.requirements.sight import Bounds
 from lidarcfg.requirements.verdict import RequirementVerdict, WorstPlace
 from lidarcfg.sensors.rig import Mount
