@@ -8,7 +8,7 @@ a study, `verify` judges a rig by all of them and collects the evidence, and `ve
 shortfalls of many rigs, for searches.
 
 For scenarios, `braking` says when braking must begin, `scenario` where vehicle, target and parked cars are, `sight`
-when the target can first be seen, `frames` what the sensors see, and `scenario_run` whether that is in time.
+when the target can first be seen, and `scenario_run` what the sensors see in each frame, and whether that is in time.
 """
 
 import lazy_loader

@@ -10,13 +10,12 @@ from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
-from lidarcfg.requirements import frames
+from lidarcfg.requirements import scenario_run
 from lidarcfg.requirements.braking import COMFORT, EMERGENCY, Braking
 from lidarcfg.requirements.file import ObjectFile
-from lidarcfg.requirements.frames import drive_of
 from lidarcfg.requirements.objects import LOW_M
 from lidarcfg.requirements.scenario import Approach, Extent, ScenarioFile, load_scenario, presets
-from lidarcfg.requirements.scenario_run import Rule, ScenarioRun, check_scenario, needed
+from lidarcfg.requirements.scenario_run import Rule, ScenarioRun, check_scenario, drive_of, needed
 from lidarcfg.requirements.sight import earliest_sight, places_within
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.tasks import START_NS
@@ -219,7 +218,7 @@ def test_skipping_beams_changes_nothing(sedan, monkeypatch):
     scenario = replace(scenario, file=scenario.file.model_copy(update={"before_impact_s": 2.0}))
     few = check_scenario(scenario, two(), sedan, speeds_km_h=[40])
     everything = lambda approach, range_m, frame, middle_s, frame_ns: np.arange(len(frame.starts_m))  # noqa: E731
-    monkeypatch.setattr(frames, "_may_hit", everything)
+    monkeypatch.setattr(scenario_run, "_may_hit", everything)
     whole = check_scenario(scenario, two(), sedan, speeds_km_h=[40])
     for one, other in zip(few.cases[0].runs, whole.cases[0].runs, strict=True):
         np.testing.assert_array_equal(one.returns, other.returns)
@@ -246,7 +245,9 @@ def test_points_are_on_the_target(sedan, monkeypatch):
     """What clusters are made of lies on the box's surface, where the target is when each beam is fired."""
     kept = []
     monkeypatch.setattr(
-        frames.TargetReturns, "add", lambda self, frame, sensor, points: kept.append((self, frame, sensor, points))
+        scenario_run.TargetReturns,
+        "add",
+        lambda self, frame, sensor, points: kept.append((self, frame, sensor, points)),
     )
     scenario = load_scenario("cpnco")
     scenario = replace(scenario, file=scenario.file.model_copy(update={"before_impact_s": 1.5}))
