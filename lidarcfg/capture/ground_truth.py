@@ -33,6 +33,12 @@ RECORD = np.dtype(
 )
 
 RECORDS = 1 << 16  # at a time
+AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
+LATEST_NS = 2**42  # span of a ground-truth file: 73 minutes; with sensor, ring and return it makes one int64
+KINDS = 4  # of returns
+NAMES = ("sensor_names", "object_names")
+COLUMNS = ("sensor", "time_ns", "laser", "return_type", "object")
+OTHER = "rain, fog or unknown"
 
 
 def records(
@@ -93,14 +99,6 @@ class TruthFile:
                         while piece := body.read(RECORDS * RECORD.itemsize):
                             out.write(np.frombuffer(piece, RECORD)[key].tobytes())
         return sum(counts)
-
-
-AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
-LATEST_NS = 2**42  # span of a ground-truth file: 73 minutes; with sensor, ring and return it makes one int64
-KINDS = 4  # of returns
-NAMES = ("sensor_names", "object_names")
-COLUMNS = ("sensor", "time_ns", "laser", "return_type", "object")
-OTHER = "rain, fog or unknown"
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,21 @@ LENGTH = 4  # bytes after a block's body
 BLOCK_MAX = 16 << 20  # bytes; libpcap allows no longer block
 INTERFACES_MAX = 1 << 16  # of a section; more are damage, and memory
 LATEST_NS = 4_600_000_000 * SECOND_NS  # in 2115; beyond are damaged ones
+SNAPLEN = 65535
+RECORD_MAX = 262144  # bytes; libpcap allows no longer record
+PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
+    struct.pack(order + "I", magic): (order, unit_ns)
+    for order in "<>"
+    for magic, unit_ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
+}
+HEADER = 24  # bytes of a classic pcap before its records
+FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
+BUFFER = 1 << 22  # bytes of a pcap, read at a time
+SCANNED = 1 << 26  # bytes of a pcap whose headers are read together
+RECORDS = 1000  # of a pcapng, read at a time
+EMPTY = 1000  # consecutive empty records, after which the rest of the file counts as damaged
+RECORDS_ALIKE = 32  # consecutive records of one length, after which more are expected
+RECORDS_AHEAD = 1024  # records that are then compared together
 
 
 class Frame(NamedTuple):
@@ -132,23 +147,6 @@ def _interface(block: _Block) -> _Interface:
             found = found._replace(offset_s=struct.unpack(block.order + "q", value)[0])
         at += 4 + size + -size % 4
     return found
-
-
-SNAPLEN = 65535
-RECORD_MAX = 262144  # bytes; libpcap allows no longer record
-PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
-    struct.pack(order + "I", magic): (order, unit_ns)
-    for order in "<>"
-    for magic, unit_ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
-}
-HEADER = 24  # bytes of a classic pcap before its records
-FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
-BUFFER = 1 << 22  # bytes of a pcap, read at a time
-SCANNED = 1 << 26  # bytes of a pcap whose headers are read together
-RECORDS = 1000  # of a pcapng, read at a time
-EMPTY = 1000  # consecutive empty records, after which the rest of the file counts as damaged
-RECORDS_ALIKE = 32  # consecutive records of one length, after which more are expected
-RECORDS_AHEAD = 1024  # records that are then compared together
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ from lidarcfg.files import replacing, shipped
 
 KINDS = ("study", "rig", "scene", "sensor")
 CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
+TEMPLATES = ("study", "rig", "scene", "sensor")
+SCHEMAS = (*TEMPLATES, "requirements", "scenario", "vehicle", "trajectory", "plan")
 
 
 def vehicles() -> dict[str, Path]:
@@ -92,10 +94,6 @@ def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[fl
         "ahead_top": (x, 3, floor_m + 3),
     }
     return {key: [round(value, 2) for value in corner] for key, corner in boxes.items()}
-
-
-TEMPLATES = ("study", "rig", "scene", "sensor")
-SCHEMAS = (*TEMPLATES, "requirements", "scenario", "vehicle", "trajectory", "plan")
 
 
 @cloup.command(

@@ -34,6 +34,7 @@ STEP_M = 0.01  # of a position
 STEP_DEG = 0.1  # of an angle
 OFFSETS = (-5, -1, 1, 5)  # steps by which a coordinate is off
 HUGE = float(np.finfo(np.float64).max)  # to beat: everything does
+WORST = 10  # how many of the worst subspaces an evaluation lists
 
 
 @dataclass(frozen=True)
@@ -114,9 +115,6 @@ def changes_m(study: Study, rig: Rig, step_m: float = STEP_M, step_deg: float = 
         cost = evaluator.costs(every, source, pose[None], np.full(len(every), HUGE))
     change: Array = cost[1:] - cost[0]
     return change.reshape(len(pose), 6, len(OFFSETS))
-
-
-WORST = 10  # how many of the worst subspaces an evaluation lists
 
 
 @dataclass(frozen=True)

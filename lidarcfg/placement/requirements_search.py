@@ -47,6 +47,10 @@ MET_MOST = 2.0**-60  # no rig that meets all costs as much
 SHORTFALL_MOST = 1e5  # below INFEASIBLE
 LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
 SLICE_MOST = 1000
+FIRST_POINTS = 2  # that are judged in full
+POINTS_GROWTH = 3  # of the number of points, until the best so far is what the next have to beat
+LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
+CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
 
 def cost_of(shortfall: float, wanted: float) -> float:
@@ -162,12 +166,6 @@ class RequirementsEvaluator:
         if shortfall > 0 or self._objective:
             return cost_of(shortfall, 0.0)
         return cost_of(0.0, self._judge.tightness(rig, limit / MET_SCALE if limit < MET_MOST else math.inf))
-
-
-FIRST_POINTS = 2  # that are judged in full
-POINTS_GROWTH = 3  # of the number of points, until the best so far is what the next have to beat
-LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
-CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
 
 class PointsFirst(Best):

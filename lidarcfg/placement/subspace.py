@@ -30,6 +30,7 @@ Counts = NDArray[np.int64]
 BEAMS_MAX = 1_000_000  # of all LiDARs together
 LARGE = 2**14  # rows from which on what LiDARs see is found on threads
 WORDS = 16  # a row that an evaluation needs at least, besides three for each LiDAR
+BLIND = -1  # the gap index of a LiDAR that does not see a subspace
 
 
 def grid_of(region: Region, weights: tuple[Array, NDArray[np.integer]] | None = None) -> core.Grid:
@@ -139,8 +140,6 @@ def beam_gaps(region: Region, lidar: Lidar) -> Counts:
 
 if TYPE_CHECKING:
     import open3d
-
-BLIND = -1  # the gap index of a LiDAR that does not see a subspace
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from lidarcfg.report.comparison import Contender
 
 FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
+COMBINATIONS = "combinations.csv"
+SHOWN = 20  # combinations on the terminal
+COLUMNS = ("combination", "price", "sensors", "evaluations", "shortfall", "missed", "meets", "excluded")
 
 
 def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> None:
@@ -201,10 +204,6 @@ def _between(gap: int, between_deg: Sequence[float | None]) -> str:
 
 if TYPE_CHECKING:
     from lidarcfg.placement.cheapest import Cheapest, SearchedCombination
-
-COMBINATIONS = "combinations.csv"
-SHOWN = 20  # combinations on the terminal
-COLUMNS = ("combination", "price", "sensors", "evaluations", "shortfall", "missed", "meets", "excluded")
 
 
 def save_combinations(found: "Cheapest", folder: Path) -> None:

@@ -32,6 +32,10 @@ SLACK = 1e-9  # of a cosine, for rounding
 SLACK_M = 1e-3  # of a distance: a target that gains speed moves along chords
 
 Counts = NDArray[np.int64]
+STARTS = 4
+RETURNS = 10  # Autoware's least cluster: autonomous_emergency_braking.param.yaml of autoware_launch at 025908d
+LEAST_S = 0.5  # of a run before the last moment to brake: two revolutions of the slowest sensors, at 300 rpm, fit
+NO_SPEEDS = "has no speeds of its own; give speeds_km_h"
 
 
 class TargetReturns:
@@ -176,12 +180,6 @@ def _may_hit(approach: Approach, range_m: float, frame: _Frame, middle_s: float,
     cosine += frame.directions[1] * y
     cosine += frame.directions[2] * z
     return np.flatnonzero(cosine >= least)
-
-
-STARTS = 4
-RETURNS = 10  # Autoware's least cluster: autonomous_emergency_braking.param.yaml of autoware_launch at 025908d
-LEAST_S = 0.5  # of a run before the last moment to brake: two revolutions of the slowest sensors, at 300 rpm, fit
-NO_SPEEDS = "has no speeds of its own; give speeds_km_h"
 
 
 @dataclass(frozen=True)

@@ -23,19 +23,6 @@ from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.scene_file import Weather
 
 DROPOUT, NOISE, CELL, LASER, INTENSITY, ALONE = range(6)  # streams of random numbers
-
-
-def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
-    """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided.
-
-    `first` and `count` are multiples of four: Philox generates four at a time.
-    """
-    assert first % 4 == 0
-    assert count % 4 == 0
-    philox = np.random.Philox(key=[realism.seed, 8 * sensor_index + stream], counter=[first // 4, 0, 0, 0])
-    return np.random.Generator(philox).random(count) + 2.0**-54
-
-
 PULSE_M = 0.75  # half the length of a 5 ns pulse: a guess, no maker states it
 CELLS = 24  # of PULSE_M, from the sensor's minimum range on, that rain and fog can send an echo from
 # Extinction to backscatter of water droplets (Pinnick et al., Appl. Opt. 22, 1983; O'Connor 2004).
@@ -61,6 +48,18 @@ REPORTED = {
     "first-strongest": (FIRST, STRONGEST_BUT_FIRST),
     "two-strongest": (STRONGEST, SECOND),
 }
+DARK = 2  # reflectivities below are of dark targets
+
+
+def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
+    """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided.
+
+    `first` and `count` are multiples of four: Philox generates four at a time.
+    """
+    assert first % 4 == 0
+    assert count % 4 == 0
+    philox = np.random.Philox(key=[realism.seed, 8 * sensor_index + stream], counter=[first // 4, 0, 0, 0])
+    return np.random.Generator(philox).random(count) + 2.0**-54
 
 
 @dataclass(frozen=True)
@@ -184,9 +183,6 @@ def _droplets(
     albedo = math.pi * PULSE_M * alpha / LIDAR_RATIO_SR * speckle
     best = np.argmax(albedo * maths.exp(-2 * alpha * middle) / middle**2, axis=1)
     return middle[best], albedo[np.arange(count), best]
-
-
-DARK = 2  # reflectivities below are of dark targets
 
 
 def apply_dropout(found: Echoes, realism: Realism, sensor_index: int, first: int) -> None:

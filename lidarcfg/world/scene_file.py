@@ -25,6 +25,11 @@ Category = Literal[
     "ground", "road", "parking", "sidewalk", "building", "fence", "vegetation", "trunk", "terrain", "pole",
     "traffic_sign",
 ]  # fmt: skip
+OUTLIER = 1  # SemanticKITTI's label of rain and fog
+GROUND = "ground"
+KINDS = ("boxes", "spheres", "cylinders", "planes", "meshes")  # of objects, of a scene and of a vehicle
+FILES = ("meshes", "height_fields", "models", "surfels")  # of a scene, whose triangles are made from files
+Size = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 
 
 class DatasetNames(NamedTuple):
@@ -59,14 +64,6 @@ DATASET_NAMES: dict[str | None, DatasetNames] = {
     "pole": DatasetNames(80, 80),
     "traffic_sign": DatasetNames(81, 81),
 }
-OUTLIER = 1  # SemanticKITTI's label of rain and fog
-
-
-GROUND = "ground"
-KINDS = ("boxes", "spheres", "cylinders", "planes", "meshes")  # of objects, of a scene and of a vehicle
-FILES = ("meshes", "height_fields", "models", "surfels")  # of a scene, whose triangles are made from files
-
-Size = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 
 
 class Ground(Model):

@@ -19,6 +19,14 @@ from lidarcfg.world.motion import MotionPath, build_path
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.scene_file import Cylinder, Sphere
 
+_NO_INDEX = np.empty(0, np.int32)
+TRIANGLE, SPHERE, CYLINDER = range(3)  # kinds of shapes
+NO_SLOT = -2
+GROUND_SLOT = -1
+NO_OBJECT = -1  # nothing; the ground is object 0
+Shapes = tuple[Array, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32]]  # and kinds, numbers, objects
+NO_SHAPES: Shapes = np.empty((0, 9)), np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0, np.int32)
+
 
 class Obstacles(NamedTuple):
     """What blocks beams, relative to a point."""
@@ -34,18 +42,7 @@ class Obstacles(NamedTuple):
         return cls(tree, visibility.boxes_of(tree), origin_m, ground_m)
 
 
-_NO_INDEX = np.empty(0, np.int32)
 NO_OBSTACLES = Obstacles.of(world.Bvh(np.empty((0, 9)), np.empty(0, np.uint8), _NO_INDEX, _NO_INDEX), np.zeros(3))
-
-
-TRIANGLE, SPHERE, CYLINDER = range(3)  # kinds of shapes
-NO_SLOT = -2
-GROUND_SLOT = -1
-NO_OBJECT = -1  # nothing; the ground is object 0
-
-Shapes = tuple[Array, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32]]  # and kinds, numbers, objects
-
-NO_SHAPES: Shapes = np.empty((0, 9)), np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0, np.int32)
 
 
 class Found(NamedTuple):

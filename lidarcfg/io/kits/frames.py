@@ -17,6 +17,8 @@ from lidarcfg.sensors.rig import Rig
 
 BASE_LINK = "base_link"  # ROS REP-105's name for the vehicle frame
 MAP = "map"  # and for the world frame
+UNIT = 1e-3  # the length of a quaternion differs by at most that from 1
+NAMED = 12  # frames that an error names, at most
 
 
 def ros_name(name: str) -> str:
@@ -46,10 +48,6 @@ def quaternion_xyzw(T: Array) -> tuple[float, float, float, float]:
 
     x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True).tolist()
     return x, y, z, w
-
-
-UNIT = 1e-3  # the length of a quaternion differs by at most that from 1
-NAMED = 12  # frames that an error names, at most
 
 
 @dataclass(frozen=True)
