@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import lidarcfg as library
 from lidarcfg.capture.manifest import CaptureManifest, FileDigest
-from lidarcfg.cli.files import vehicles, write_template
+from lidarcfg.cli.templates import vehicles, write_template
 from lidarcfg.config.document import Document, document, inline, yaml_text
 from lidarcfg.config.kinds import kind_of
 from lidarcfg.config.models import load, loads, whole_values

@@ -13,9 +13,9 @@ import pytest
 import trimesh
 from PIL import Image
 
-from lidarcfg.cli.files import KINDS as TEMPLATES
-from lidarcfg.cli.files import vehicles, write_template
 from lidarcfg.cli.schemas import KINDS, schema
+from lidarcfg.cli.templates import KINDS as TEMPLATES
+from lidarcfg.cli.templates import vehicles, write_template
 from lidarcfg.config.document import Document
 from lidarcfg.config.kinds import kind_of
 from lidarcfg.errors import ConfigError, SceneError
@@ -198,7 +198,7 @@ def test_files_are_summed_up(tmp_path):
 def test_init_writes_the_study_and_the_body_or_neither(tmp_path):
     """On a disk that is full at 100,000 bytes; the body has more."""
     code = "import resource as r, signal as s; s.signal(s.SIGXFSZ, s.SIG_IGN); r.setrlimit(r.RLIMIT_FSIZE, (100_000,) * 2);"
-    code += "from lidarcfg.cli.files import write_template as w; from pathlib import Path;"
+    code += "from lidarcfg.cli.templates import write_template as w; from pathlib import Path;"
     code += f"w('study', Path({str(tmp_path / 'study.yaml')!r}), 'truck')"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "File too large" in ended.stderr

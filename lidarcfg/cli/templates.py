@@ -1,0 +1,90 @@
+"""Commented files to start from."""
+
+import math
+import os
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+
+from lidarcfg.config.document import inline
+from lidarcfg.errors import ConfigError, SceneError
+from lidarcfg.files import replacing, shipped
+
+KINDS = ("study", "rig", "scene", "sensor")
+CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
+
+
+def vehicles() -> dict[str, Path]:
+    """The bodies that come with the package, by name."""
+    return {path.stem: path for path in sorted(shipped("data").glob("vehicles/*.ply"))}
+
+
+def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Path]:
+    """Write one of the `KINDS` of files to start from. Returns what was written.
+
+    A study is made around a vehicle: one of `vehicles`, whose mesh is copied beside the study, or a mesh file. Raises
+    ConfigError if a file exists already, or if the vehicle is unknown or cannot be read.
+    """
+    known = vehicles()
+    body = None if vehicle is None else known.get(vehicle, Path(vehicle))
+    if body and vehicle not in known and not body.suffix:
+        raise ConfigError(f"no vehicle is called {vehicle!r}; allowed: {', '.join(known)}, or a mesh file")
+    copied = path.parent / f"{vehicle}.ply" if vehicle in known else None
+    low, high, scale, unit = _bounds(body) if body else (*CAR, 1.0, "metre")
+    template = Environment(undefined=StrictUndefined, keep_trailing_newline=True).from_string(
+        (shipped("data") / "templates" / f"{kind}.yaml.j2").read_text("utf-8")
+    )
+    name = None if body is None else copied.name if copied else os.path.relpath(body, path.parent)
+    text = template.render(file=path, body=name and inline(name), scale=scale, unit=unit, **_study(low, high))
+    for file in (path, copied):
+        if file and file.exists() and not (file == copied and body and file.read_bytes() == body.read_bytes()):
+            raise ConfigError(f"{file}: exists already; name another file, or remove it")
+    if copied and body and not copied.exists():
+        with replacing(copied, "wb") as mesh:
+            mesh.write(body.read_bytes())
+    with replacing(path) as out:
+        out.write(text)
+    return [path, copied] if copied else [path]
+
+
+def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...], float, str]:
+    """The bounds of a mesh in metres, the scale that makes them so, and the unit of the file by its size."""
+    import numpy as np
+
+    from lidarcfg.world.meshes import read_mesh
+    from lidarcfg.world.vehicle import UNITS, likely_scale
+
+    try:
+        vertices = read_mesh(body)[0]
+    except SceneError as error:
+        raise ConfigError(str(error)) from None
+    scale = likely_scale(np.ptp(vertices, axis=0))
+    low, high = (tuple((scale * corner).tolist()) for corner in (vertices.min(axis=0), vertices.max(axis=0)))
+    return low, high, scale, UNITS[scale]
+
+
+def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[float]]:
+    """A study's region and the bounds of its sensors, around a vehicle's bounds."""
+    x = 10 * math.ceil((25 + max(abs(low[0]), abs(high[0]))) / 10)
+    y = 5 * math.ceil((8 + max(abs(low[1]), abs(high[1]))) / 5)
+    side = (high[1] - low[1]) / 2
+    length = high[0] - low[0]
+    middle_m = (low[0] + high[0]) / 2
+    floor_m = min(math.floor(low[2]), 0)
+    top_m = max(math.ceil(high[2]), 4)
+    boxes = {
+        "low": (-x, -y, floor_m),
+        "high": (x, y, top_m),
+        "roof_low": (middle_m - length / 8, low[1] + side + side / 4, high[2] + 0.1),
+        "roof_high": (middle_m + length / 8, low[1] + side + side / 2, high[2] + 0.4),
+        "front_low": (high[0] + 0.05, -side * 0.7, max(low[2], 0) + 0.4),
+        "front_high": (high[0] + 0.05, side * 0.7, max(low[2], 0) + 0.8),
+        "rear_low": (low[0] - 0.05, -side * 0.7, max(low[2], 0) + 0.4),
+        "rear_high": (low[0] - 0.05, side * 0.7, max(low[2], 0) + 0.8),
+        "top_low": (middle_m - length / 8, low[1] + side / 2, (low[2] + high[2]) / 2),
+        "top_high": (middle_m + length / 8, high[1] - side / 2, high[2] + 0.1),
+        "ahead_low": (0, -3, floor_m),
+        "ahead_high": (x, 3, floor_m + 2),
+        "ahead_top": (x, 3, floor_m + 3),
+    }
+    return {key: [round(value, 2) for value in corner] for key, corner in boxes.items()}
