@@ -219,6 +219,20 @@ def test_hidden_heights_add_up_to_the_shadow(found):
     assert not shown.evidence[3].has_map
 
 
+def test_the_verdict_says_how_far_apart_posts_and_points_are(found):
+    """Measured between them: posts along azimuths, which spread; points of the shadow. None is refined."""
+    study, shown = found
+    _, posts, shadow, _ = study.requirements.items
+    texts = [one.sampling.text for one in shown.verdict.requirements[1:3]]
+    at = posts.posts.places[:, :2, :2]
+    step_m = np.linalg.norm(at[:, 1] - at[:, 0], axis=1)
+    turns_deg = np.degrees(np.diff(np.arctan2(*(at[:, 1] - at[:, 0]).T[::-1]))) % 360
+    apart = f"{step_m.mean():.3g} m apart along azimuths {turns_deg.mean():.3g}° apart"
+    assert texts[0].endswith(f" places, {apart}; nothing is known of what lies between")
+    x = np.unique(shadow.points_m[:, 0].round(6))
+    assert texts[1].endswith(f" places, {np.diff(x).min():.3g} m apart; nothing is known of what lies between")
+
+
 def test_the_report_begins_with_the_verdict(files, found):
     """As verdict.json has it; a map for each requirement but the price, and views of the worst places."""
     out = files / "out"
