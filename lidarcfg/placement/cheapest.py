@@ -45,7 +45,8 @@ class Effort:
     """What the search of a combination has come to."""
 
     log: Log
-    evaluations: int
+    evaluations: int  # that the budget limits
+    rigs: int  # evaluated, the plain ones included
     shortfall: float  # of the best rig; 0: it meets all
     failing: tuple[str, ...]  # the requirements that it misses
     meets: bool  # verified, refined places included
@@ -58,7 +59,7 @@ class Tried:
     name: str
     price: float
     sensors: int
-    evaluations: int
+    evaluations: int  # the plain rigs included
     shortfall: float  # of its best rig; inf if it was not searched
     failing: tuple[str, ...]
     meets: bool
@@ -71,7 +72,7 @@ class Cheapest:
 
     combination: Combination
     placement: Placement
-    tried: tuple[Tried, ...]  # by price: all that are cheaper, and those that were searched; all if none meets all
+    tried: tuple[Tried, ...]  # by price: all that are not alike, also those that were not searched
     combinations: int  # that are not alike
     excluded: int  # of those, of which no rig can meet all
     evaluations: int
@@ -227,14 +228,12 @@ class CheapestRun:
         tried = []
         for n, one in enumerate(self.options):
             effort = self.efforts.get(n)
-            if effort is None and self.found is not None and n > best:
-                continue
             tried.append(
                 Tried(
                     name=one.name,
                     price=one.price,
                     sensors=one.sensors,
-                    evaluations=effort.evaluations if effort else 0,
+                    evaluations=effort.rigs if effort else 0,
                     shortfall=effort.shortfall if effort else math.inf,
                     failing=effort.failing if effort else (),
                     meets=effort.meets if effort else False,
@@ -282,6 +281,7 @@ def effort_of(job: Job, threads: int | None = None) -> Effort | str:
     return Effort(
         log=run.log(),
         evaluations=run.evaluations,
+        rigs=sum(run.asked.values()),
         shortfall=sum(shortfalls),
         failing=tuple(name for name, short in zip(names, shortfalls, strict=True) if short > 0),
         meets=run.is_verified or run.verify_best(),

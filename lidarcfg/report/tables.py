@@ -230,7 +230,7 @@ def print_cheapest(found: "Cheapest") -> None:
     searched = sum(math.isfinite(one.shortfall) for one in found.tried)
     console.print(
         f"{searched:,} of {counted(found.combinations, 'combination')} searched; "
-        f"{found.evaluations:,} evaluations, {found.seconds:.1f} s"
+        f"{counted(sum(one.evaluations for one in found.tried), 'evaluation')}, {found.seconds:.1f} s"
     )
     cheaper = [one for one in found.tried if one.price < asked.price]
     shown = [one for one in cheaper if not one.excluded] if found.meets else _closest(found.tried)

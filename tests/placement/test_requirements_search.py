@@ -385,11 +385,14 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
         cheaper = [tried for tried in found.tried if tried.price < min(passing)]
         searched = [tried for tried in cheaper if not tried.excluded]
         assert all(tried.evaluations > 0 and tried.shortfall > 0 and tried.failing for tried in searched)
+        answer = next(tried for tried in found.tried if tried.name == found.combination.name)
+        assert answer.evaluations == len(found.placement.log.cost) > 0  # as one told the costs of, the plain rigs too
     else:
         assert not found.meets
         assert found.placement.verdict.shortfall > 0
         assert [tried.excluded for tried in found.tried].count("too dear") == 1  # two VLP-32C
         assert all("returns" in tried.excluded for tried in found.tried if tried.price <= 13000)
+    assert [tried.name for tried in found.tried] == [option.name for option in distinct_options(one)]
     assert isinstance(one.requirements, Requirements)
 
 
