@@ -221,6 +221,21 @@ def test_no_result_is_worse_than_the_best_plain_rig(study):
 CRATES = YARD[: YARD.index("  - name: most")] + YARD[YARD.index("{more}") :]
 
 
+def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
+    """As after a pause: rigs of a margin beyond what is counted at first, each beside one that is hardly worse."""
+    one = study(CRATES, returns=1, lost=0, more="")
+    poses = one.poses(plain_points(one))
+    index = np.zeros(1, np.int64)
+    with RequirementsEvaluator(one, 1, skip=False) as evaluator:
+        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], np.full(len(poses), np.inf))
+    met = np.flatnonzero(costs < cost_of(0.0, 0.5))  # of more than twice the returns
+    assert len(met)
+    for number in met.tolist():
+        with RequirementsEvaluator(one, 1) as evaluator:
+            limit = np.array([1.001 * costs[number]])
+            assert evaluator.costs(poses[[number]], index, poses[:1], limit)[0] == costs[number]
+
+
 def test_a_search_at_a_few_places_is_verified_at_all(study, monkeypatch):
     """Where rigs fail at places of the base grid that do not count, these join; the verdict is that of all places."""
     monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_PLACES", 12)
