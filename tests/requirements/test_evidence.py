@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.study import load_study
+from lidarcfg.report.evidence import draw_map
 from lidarcfg.report.html import FailCell
 from lidarcfg.report.verification import margins_table, verdict_table
 from lidarcfg.requirements.footprint import Footprint
@@ -231,6 +232,23 @@ def test_the_verdict_says_how_far_apart_posts_and_points_are(found):
     assert texts[0].endswith(f" places, {apart}; nothing is known of what lies between")
     x = np.unique(shadow.points_m[:, 0].round(6))
     assert texts[1].endswith(f" places, {np.diff(x).min():.3g} m apart; nothing is known of what lies between")
+
+
+def test_the_map_shows_the_whole_box(files):
+    """The axes' limits, of a box that reaches farther than the object's middle may."""
+    drawn = []
+    zone = "region: {min_m: [3, -2, 0], max_m: [8.5, 2, 2]}"
+    text = STUDY.replace("within_m: [2, 4], sector_deg: [-30, 30]", zone)
+    (files / "box.yaml").write_text(text)
+    study = load_study(files / "box.yaml")
+    rig = load_rig(files / "rig.yaml")
+    shown = verification(Verifier(study.requirements), rig.mounts)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lidarcfg.report.evidence.finish_map", lambda axes, low, high: drawn.append((low, high)))
+        draw_map(shown.evidence[0], rig, 0)
+    ((low, high),) = drawn
+    assert low[1] < -2
+    assert (high > (8.5, 2)).all()
 
 
 def test_the_report_begins_with_the_verdict(files, found):
