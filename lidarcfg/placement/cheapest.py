@@ -76,7 +76,7 @@ class Cheapest:
     combinations: int  # that are not alike
     excluded: int  # of those, of which no rig can meet all
     evaluations: int
-    seconds: float
+    seconds: float  # of the search, without what is found out about its rig at the end
     interrupted: bool
 
     @property
@@ -218,6 +218,7 @@ class CheapestRun:
 
     def result(self, interrupted: bool) -> Cheapest:
         """What is found so far. Raises KeyboardInterrupt if that is nothing."""
+        seconds = time.perf_counter() - self._began
         if not self.efforts:
             if interrupted:
                 raise KeyboardInterrupt
@@ -248,7 +249,7 @@ class CheapestRun:
             combinations=len(self.options),
             excluded=len(self.excluded),
             evaluations=self.evaluations,
-            seconds=time.perf_counter() - self._began,
+            seconds=seconds,
             interrupted=interrupted,
         )
 

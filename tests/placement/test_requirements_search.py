@@ -1,6 +1,7 @@
 """Searches of studies with requirements: what they find, and that what they skip changes nothing."""
 
 import math
+import time
 from dataclasses import replace
 from itertools import combinations_with_replacement
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.packets.families import pattern
+from lidarcfg.placement import cheapest as cheapest_module
 from lidarcfg.placement.achievable import most_returns, unachievable
 from lidarcfg.placement.cheapest import cheapest
 from lidarcfg.placement.combinations import distinct_options, options
@@ -409,6 +411,22 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
         assert all("returns" in tried.excluded for tried in found.tried if tried.price <= 13000)
     assert [tried.name for tried in found.tried] == [option.name for option in distinct_options(one)]
     assert isinstance(one.requirements, Requirements)
+
+
+def test_the_seconds_are_those_of_the_search(study, monkeypatch):
+    """What is found out about the cheapest rig at the end takes its own time, however long."""
+    began = time.perf_counter()
+    searched = []
+
+    def late(*args):
+        searched.append(time.perf_counter())
+        time.sleep(0.3)
+        return placement(*args)
+
+    placement = cheapest_module._placement
+    monkeypatch.setattr(cheapest_module, "_placement", late)
+    found = cheapest(with_solver(study(CHOICE.replace("RETURNS", "300")), evaluations=1), threads=2)
+    assert 0 < found.seconds <= searched[0] - began
 
 
 def test_what_is_excluded_meets_nothing_when_searched(study):
