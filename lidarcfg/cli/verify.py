@@ -63,11 +63,15 @@ def verify(
     warn_of(loaded.vehicle)
     for message in requirement_warnings(study):
         warn(message)
+    verifier = Verifier(loaded.requirements)
     for path, one in zip(paths, rigs, strict=True):
         check_rig(loaded, path, one)
+        try:
+            verifier.check(one.mounts)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
     if output:
         check_writable(output, VERIFIED)
-    verifier = Verifier(loaded.requirements)
     with progress(quiet or as_json, keep=False) as on_progress:
         verdicts = []
         for n, one in enumerate(rigs):

@@ -45,7 +45,8 @@ class Effort:
     """How far the search of a combination has come, and its result."""
 
     log: Log
-    evaluations: int
+    evaluations: int  # that the budget limits
+    rigs: int  # evaluated, the plain ones included
     shortfall: float  # of the best rig; 0: it meets all
     failing: tuple[str, ...]  # the requirements that it misses
     meets: bool  # verified, refined places included
@@ -58,7 +59,7 @@ class SearchedCombination:
     name: str
     price: float
     sensors: int
-    evaluations: int
+    evaluations: int  # the plain rigs included
     shortfall: float  # of its best rig; inf if it was not searched
     failing: tuple[str, ...]
     meets: bool
@@ -71,13 +72,11 @@ class Cheapest:
 
     combination: Combination
     placement: Placement
-    tried: tuple[
-        SearchedCombination, ...
-    ]  # by price: all that are cheaper, and those that were searched; all if none meets all
+    tried: tuple[SearchedCombination, ...]  # by price: all that are not alike, also those that were not searched
     combinations: int  # that are not alike
     excluded: int  # of those, the ones of which no rig can meet all requirements
     evaluations: int
-    seconds: float
+    seconds: float  # of the search, without what is found out about its rig at the end
     interrupted: bool
 
     @property
@@ -147,14 +146,14 @@ class CheapestRun:
     def run(self, on_effort: OnEffort | None = None) -> None:
         """Search until the cheapest is found, or the budget is spent."""
         self._search([n for n in range(len(self.options)) if n not in self.excluded], on_effort)
-        if not self.efforts:  # the closest, if none can meet all
+        if not self.efforts:  # none can meet all: the closest of the plain rigs
             self._excludes = False
+            self.round = 0
             numbers = range(len(self.options))
-            self._search([n for n in numbers if self.excluded.get(n) != TOO_DEAR] or list(numbers), on_effort)
+            self._do_round([n for n in numbers if self.excluded.get(n) != TOO_DEAR] or list(numbers), on_effort)
 
     def _search(self, numbers: list[int], on_effort: OnEffort | None) -> None:
         """Search round after round."""
-        self.round = 0
         rounds_left = math.inf
         while numbers and rounds_left > 0 and not self._is_spent():
             before = self.found
@@ -219,6 +218,7 @@ class CheapestRun:
 
     def result(self, interrupted: bool) -> Cheapest:
         """The best found so far. Raises KeyboardInterrupt or ConfigError if there is none yet."""
+        seconds = time.perf_counter() - self._began
         if not self.efforts:
             if interrupted:
                 raise KeyboardInterrupt
@@ -229,14 +229,12 @@ class CheapestRun:
         tried = []
         for n, one in enumerate(self.options):
             effort = self.efforts.get(n)
-            if effort is None and self.found is not None and n > best:
-                continue
             tried.append(
                 SearchedCombination(
                     name=one.name,
                     price=one.price,
                     sensors=one.sensors,
-                    evaluations=effort.evaluations if effort else 0,
+                    evaluations=effort.rigs if effort else 0,
                     shortfall=effort.shortfall if effort else math.inf,
                     failing=effort.failing if effort else (),
                     meets=effort.meets if effort else False,
@@ -251,7 +249,7 @@ class CheapestRun:
             combinations=len(self.options),
             excluded=len(self.excluded),
             evaluations=self.evaluations,
-            seconds=time.perf_counter() - self._began,
+            seconds=seconds,
             interrupted=interrupted,
         )
 
@@ -284,6 +282,7 @@ def effort_of(job: Job, threads: int | None = None) -> Effort | str:
     return Effort(
         log=run.log(),
         evaluations=run.evaluations,
+        rigs=sum(run.asked.values()),
         shortfall=sum(shortfalls),
         failing=tuple(name for name, short in zip(names, shortfalls, strict=True) if short > 0),
         meets=run.is_verified or run.verify_best(),

@@ -99,6 +99,8 @@ def _window(evidence: Evidence, rig: Rig) -> tuple[Array, Array]:
     parts = [np.array([mount.position_m[:2] for mount in rig.mounts])]
     if evidence.body:
         parts += evidence.body.outlines_m
+    if evidence.zone and evidence.zone.box_m is not None:
+        parts.append(np.array(evidence.zone.box_m))
     if evidence.counts:
         parts.append(evidence.counts.at_m)
     if evidence.posts:

@@ -48,7 +48,8 @@ def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> N
     if has_cones(found.rig):
         search.add_row("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m")
         search.add_row("max VSR, optimised", f"{evaluation.max_vsr_m:.4f} m")
-    search.add_row("evaluations", f"{found.evaluations:,}")
+    first = f", and {found.first_evaluations:,} of plain rigs" if study.requirements else ""
+    search.add_row("evaluations", f"{found.evaluations:,}{first}")
     search.add_row("seconds", f"{found.seconds:.1f}")
     terminal().print(search)
     print_evaluation(study, found.rig, evaluation, with_verdict=False)
@@ -229,7 +230,7 @@ def print_cheapest(found: "Cheapest") -> None:
     searched = sum(math.isfinite(one.shortfall) for one in found.tried)
     console.print(
         f"{searched:,} of {counted(found.combinations, 'combination')} searched; "
-        f"{found.evaluations:,} evaluations, {found.seconds:.1f} s"
+        f"{counted(sum(one.evaluations for one in found.tried), 'evaluation')}, {found.seconds:.1f} s"
     )
     cheaper = [one for one in found.tried if one.price < asked.price]
     shown = [one for one in cheaper if not one.excluded] if found.meets else _closest(found.tried)

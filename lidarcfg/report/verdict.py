@@ -63,7 +63,7 @@ def conclusion(found: Verdict) -> str:
     count = len(found.requirements)
     if not failed:
         return f"{PASS}: the rig meets {'its requirement' if count == 1 else f'all {count} requirements'}"
-    return f"{FAIL}: {failed} of {count} requirement{'s are' if count > 1 else ' is'} not met"
+    return f"{FAIL}: {failed} of {count} requirement{'s' * (count > 1)} {'is' if failed == 1 else 'are'} not met"
 
 
 def remarks(found: Verdict) -> list[str]:

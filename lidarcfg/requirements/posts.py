@@ -333,6 +333,6 @@ class PostRequirement:
             at_most=True,
             shortfall=float(short.mean()) if value_m > limit_m + 1e-9 else 0.0,
             worst=WorstPlace(float(place[0]), float(place[1]), None, float(row[number])),
-            sampling=Sampling(int(self.posts.counts.sum()), (STEP_M, STEP_M), STEP_M),
+            sampling=Sampling(int(self.posts.counts.sum()), (STEP_M, STEP_M), STEP_M, azimuths_deg=360.0 / AZIMUTHS),
             notes=tuple(notes),
         )

@@ -172,8 +172,8 @@ def _zone(one: Source, site: Site) -> Zone:
         low, high = (np.array(corner[:2]) for corner in (item.region.min_m, item.region.max_m))
         return Zone(site.body, box_m=(low, high))
     if site.body is None:
-        key = "within_m" if item.within_m else item.marker
-        raise one.error("is the distance to the vehicle's body, and the study has no vehicle; give one", key)
+        key, what = ("within_m", "is the distance to") if item.within_m else (item.marker, "needs")
+        raise one.error(f"{what} the vehicle's body, and the study has no vehicle; give one", key)
     sector = None
     if item.sector_deg:
         first, last = (math.radians(angle) for angle in item.sector_deg)

@@ -239,7 +239,8 @@ class ObjectTrials:
         values = np.full(len(self.places), CAP_MAX, np.int64)
         for rows in self._blocks(stops):
             values[rows] = self._more(sensors, rows, cap)
-            if stops and tightness(float(values[rows].min()) / item.returns - 1) >= limit:
+            least = int(values[rows].min())
+            if stops and least < cap and tightness(least / item.returns - 1) >= limit:
                 self._latest[rows[values[rows].argmin()]] += 1
                 return None
         if item.at_least == 1:

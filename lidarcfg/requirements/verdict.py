@@ -31,14 +31,19 @@ class Sampling:
 
     places: int  # tried: positions times headings
     base_m: tuple[float, float]  # spacing of the base grid near the body, and farther out
-    finest_m: float  # spacing around the lowest counts
+    finest_m: float  # spacing around the lowest counts; that of the grid where nothing is refined
     finest_deg: float | None = None  # of headings there
+    azimuths_deg: float | None = None  # between lines from the vehicle along which the places lie, if they do
 
     @property
     def text(self) -> str:
         """A sentence on what sampling cannot exclude."""
         near, far = (f"{step:.3g}" for step in self.base_m)
         base = f"{near} m apart near the body, {far} m farther out" if near != far else f"{near} m apart"
+        if self.azimuths_deg:
+            base += f" along azimuths {self.azimuths_deg:.3g}° apart"
+        if self.base_m == (self.finest_m, self.finest_m):
+            return f"{self.places:,} places, {base}; nothing is known of what lies between"
         turn = "" if not self.finest_deg else f" and {self.finest_deg:.3g}°"
         what = f"{self.places:,} places, {base}, {self.finest_m:.3g} m{turn} around the lowest counts"
         return f"{what}; between them lower counts cannot be excluded"
@@ -51,6 +56,7 @@ class Sampling:
             "far_spacing_m": self.base_m[1],
             "finest_m": self.finest_m,
             **({} if self.finest_deg is None else {"finest_deg": self.finest_deg}),
+            **({} if self.azimuths_deg is None else {"azimuths_deg": self.azimuths_deg}),
             "text": self.text,
         }
 

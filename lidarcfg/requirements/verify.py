@@ -45,19 +45,25 @@ class Verifier:
             next(judges) if isinstance(item, ObjectRequirement) else item for item in requirements.items
         )
 
+    def check(self, mounts: Sequence[Mount]) -> None:
+        """Raises ConfigError if a requirement loses all of a rig's mounts, or needs a price that one has not."""
+        for item in self.requirements.items:
+            if isinstance(item, PriceRequirement):
+                item.price(mounts)
+            elif not isinstance(item, SensorsRequirement) and item.lost >= len(mounts):
+                what = f"{item.lost} of the rig's {len(mounts)} sensors lost leave none"
+                raise ConfigError(f"{item.name}: {what}; allowed: at most {len(mounts) - 1}")
+
     def verify(self, mounts: Sequence[Mount], on_progress: OnProgress = silent) -> Verdict:
         """The verdict on a rig's mounts; `on_progress` is told the fraction done, and the requirement that is judged.
 
-        Raises ConfigError for sensors that cannot be simulated or have no price, and if none would be left.
+        Raises ConfigError as `check` does, and for sensors that cannot be simulated.
         """
+        self.check(mounts)
         work = [judge.work for judge in self.judges]
         done = 0
         out = []
         for judge, item in zip(self.judges, self.requirements.items, strict=True):
-            lost = 0 if isinstance(item, PriceRequirement | SensorsRequirement) else item.lost
-            if lost >= len(mounts):
-                what = f"{lost} of the rig's {len(mounts)} sensors lost leave none"
-                raise ConfigError(f"{item.name}: {what}; allowed: at most {len(mounts) - 1}")
             on_progress(done / sum(work), item.name)
             begun = done
 

@@ -1,6 +1,7 @@
 """Searches of studies with requirements: what they find, and that what they skip changes nothing."""
 
 import math
+import time
 from dataclasses import replace
 from itertools import combinations_with_replacement
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.packets.families import pattern
+from lidarcfg.placement import cheapest as cheapest_module
 from lidarcfg.placement.achievable import most_returns, unachievable
 from lidarcfg.placement.cheapest import cheapest
 from lidarcfg.placement.combinations import distinct_options, options
@@ -221,10 +223,26 @@ def test_no_result_is_worse_than_the_best_plain_rig(study):
 CRATES = YARD[: YARD.index("  - name: most")] + YARD[YARD.index("{more}") :]
 
 
+def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
+    """As after a pause: rigs of a margin beyond what is counted at first, each beside one that is hardly worse."""
+    text = CRATES.replace("[0.5, 0.5, 1]", "[1, 1, 1]").replace("[1, 2]", "[1, 2.5]")
+    one = study(text, returns=1, lost=0, more="")
+    poses = one.poses(plain_points(one))
+    index = np.zeros(1, np.int64)
+    with RequirementsEvaluator(one, 1, skip=False) as evaluator:
+        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], np.full(len(poses), np.inf))
+    met = np.flatnonzero(costs < cost_of(0.0, 0.5))  # of more than twice the returns
+    assert len(met)
+    for number in met.tolist():
+        with RequirementsEvaluator(one, 1) as evaluator:
+            limit = np.array([1.001 * costs[number]])
+            assert evaluator.costs(poses[[number]], index, poses[:1], limit)[0] == costs[number]
+
+
 def test_a_search_at_a_few_places_is_verified_at_all(study, monkeypatch):
     """Where rigs fail at places of the base grid that do not count, these join; the verdict is that of all places."""
     monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_PLACES", 12)
-    one = study(CRATES.replace("[1, 2.5]", "[0.3, 2.5]").replace("150", "500"), returns=100, lost=0, more="")
+    one = study(CRATES.replace("150", "500"), returns=100, lost=0, more="")
     (item,) = one.requirements.items
     assert len(item.trial_places) < 20 < len(item.stand.base)
     found = optimize(one, threads=1)
@@ -238,7 +256,7 @@ def test_what_trials_miss_is_found(study, monkeypatch):
     """By brute force over the base grid: the places at which a rig fails, the worst of those first."""
     monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_PLACES", 12)
     monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_GROWTH", 3)
-    one = study(CRATES.replace("[1, 2.5]", "[0.3, 2.5]"), returns=120, lost=1, more="")
+    one = study(CRATES, returns=120, lost=1, more="")
     (item,) = one.requirements.items
     (judge,) = Verifier(one.requirements).judges
     some = 0
@@ -386,12 +404,31 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
         cheaper = [tried for tried in found.tried if tried.price < min(passing)]
         searched = [tried for tried in cheaper if not tried.excluded]
         assert all(tried.evaluations > 0 and tried.shortfall > 0 and tried.failing for tried in searched)
+        answer = next(tried for tried in found.tried if tried.name == found.combination.name)
+        assert answer.evaluations == len(found.placement.log.cost) > 0  # as one told the costs of, the plain rigs too
     else:
         assert not found.meets
         assert found.placement.verdict.shortfall > 0
         assert [tried.excluded for tried in found.tried].count("too dear") == 1  # two VLP-32C
         assert all("returns" in tried.excluded for tried in found.tried if tried.price <= 13000)
+    assert [tried.name for tried in found.tried] == [option.name for option in distinct_options(one)]
     assert isinstance(one.requirements, Requirements)
+
+
+def test_the_seconds_are_those_of_the_search(study, monkeypatch):
+    """What is found out about the cheapest rig at the end takes its own time, however long."""
+    began = time.perf_counter()
+    searched = []
+
+    def late(*args):
+        searched.append(time.perf_counter())
+        time.sleep(0.3)
+        return placement(*args)
+
+    placement = cheapest_module._placement
+    monkeypatch.setattr(cheapest_module, "_placement", late)
+    found = cheapest(with_solver(study(CHOICE.replace("RETURNS", "300")), evaluations=1), threads=2)
+    assert 0 < found.seconds <= searched[0] - began
 
 
 def test_what_is_excluded_meets_nothing_when_searched(study):

@@ -86,10 +86,8 @@ def test_one_line(item, said, tmp_path):
             "requirements[0].within_m: is the distance to the vehicle's body, and the study has",
         ),
         ("scenario: cpnco, speeds_km_h: [20]", "requirements[0].scenario: needs the vehicle's body"),
-        (
-            "post_height_m: 0.5, gap_at_most_m: 1",
-            "requirements[0].post_height_m: is the distance to the vehicle's body",
-        ),
+        ("post_height_m: 0.5, gap_at_most_m: 1", "requirements[0].post_height_m: needs the vehicle's body"),
+        ("shadow_at_most_m3: 1", "requirements[0].shadow_at_most_m3: needs the vehicle's body"),
     ],
 )
 def test_without_a_vehicle(item, said, tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.study import load_study
+from lidarcfg.report.evidence import draw_map
 from lidarcfg.report.html import FailCell
 from lidarcfg.report.verification import margins_table, verdict_table
 from lidarcfg.requirements.footprint import Footprint
@@ -217,6 +218,37 @@ def test_hidden_heights_add_up_to_the_shadow(found):
     volume_m3 = float(hidden.height_m.sum()) * hidden.side_m**2
     assert volume_m3 == pytest.approx(shown.verdict.requirements[2].reached)
     assert not shown.evidence[3].has_map
+
+
+def test_the_verdict_says_how_far_apart_posts_and_points_are(found):
+    """Measured between them: posts along azimuths, which spread; points of the shadow. None is refined."""
+    study, shown = found
+    _, posts, shadow, _ = study.requirements.items
+    texts = [one.sampling.text for one in shown.verdict.requirements[1:3]]
+    at = posts.posts.places[:, :2, :2]
+    step_m = np.linalg.norm(at[:, 1] - at[:, 0], axis=1)
+    turns_deg = np.degrees(np.diff(np.arctan2(*(at[:, 1] - at[:, 0]).T[::-1]))) % 360
+    apart = f"{step_m.mean():.3g} m apart along azimuths {turns_deg.mean():.3g}° apart"
+    assert texts[0].endswith(f" places, {apart}; nothing is known of what lies between")
+    x = np.unique(shadow.points_m[:, 0].round(6))
+    assert texts[1].endswith(f" places, {np.diff(x).min():.3g} m apart; nothing is known of what lies between")
+
+
+def test_the_map_shows_the_whole_box(files):
+    """The axes' limits, of a box that reaches farther than the object's middle may."""
+    drawn = []
+    zone = "region: {min_m: [3, -2, 0], max_m: [8.5, 2, 2]}"
+    text = STUDY.replace("within_m: [2, 3], sector_deg: [-30, 30]", zone)
+    (files / "box.yaml").write_text(text)
+    study = load_study(files / "box.yaml")
+    rig = load_rig(files / "rig.yaml")
+    shown = verification(Verifier(study.requirements), rig.mounts)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lidarcfg.report.evidence.finish_map", lambda axes, low, high: drawn.append((low, high)))
+        draw_map(shown.evidence[0], rig, 0)
+    ((low, high),) = drawn
+    assert low[1] < -2
+    assert (high > (8.5, 2)).all()
 
 
 def test_the_report_begins_with_the_verdict(files, found):

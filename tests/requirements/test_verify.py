@@ -70,6 +70,19 @@ def test_sensors_without_which_it_fails_are_named(files, tmp_path):
         lidarcfg("verify", study, alone, code=3)
 
 
+def test_rigs_are_checked_before_any_is_verified(files, tmp_path):
+    """Also the other one: a line, at once, that names its file; nothing is written."""
+    study, rig = files()
+    with open(study, "a") as file:
+        file.write("robust: {lost: 1}\n")
+    alone = tmp_path / "alone.yaml"
+    alone.write_text("\n".join(line for line in RIG.splitlines() if "name: left" not in line))
+    done = lidarcfg("verify", study, rig, "--against", alone, "-o", tmp_path / "out", code=2)
+    what = "1 of the rig's 1 sensors lost leave none; allowed: at most 0"
+    assert done.stderr == f"lidarcfg: {alone}: crates ahead: {what}\n"
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     ("vehicle", "reached"),

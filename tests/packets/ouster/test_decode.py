@@ -113,7 +113,7 @@ def test_packets_from_fragments_encode_again():
 def test_without_metadata_it_says_what_is_missing(tmp_path):
     pcap, _ = files(LOW)
     alone = shutil.copy(pcap, tmp_path / "alone.pcap")
-    with pytest.raises(PacketError, match=r"packets of 8448 bytes need the sensor's metadata in a \.json beside"):
+    with pytest.raises(PacketError, match=r"packets of 8448 bytes need the sensor's metadata, a \.json named as"):
         list(decode_pcap(alone, no_warning))
 
 
