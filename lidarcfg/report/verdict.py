@@ -17,9 +17,10 @@ WORD_MAX = 24  # letters that a column leaves together
 def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
     """Print a line for each requirement, then what sampling cannot exclude, then the verdict.
 
-    `against`: the verdict on another rig by the same requirements, whose margins are shown beside these.
+    `against`: the verdict on another rig by the same requirements, whose margins are shown in place of some columns.
     """
     others = ["margin of the other", "change"] if against else []
+    where = ["worst at (m)"] if against else ["worst at (m)", "heading", "from body"]
     names = [truncate(one.name) for one in found.requirements]
     word = max(len(word) for name in (*names, "requirement") for word in name.split())
     loses = any(one.lost for one in found.requirements)
@@ -27,8 +28,8 @@ def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
         "verdict",
         Column("requirement", overflow="fold", min_width=min(word, WORD_MAX)),
         *(Column(name, justify="right") for name in ("demanded", "reached", "margin", *others)),
-        *(Column(name, justify="right") for name in ("worst at (m)", "heading", "from body")),
-        Column("phases", overflow="fold"),
+        *(Column(name, justify="right") for name in where),
+        *([] if against else [Column("phases", overflow="fold")]),
         *([Column("sensors lost", overflow="fold")] if loses else []),
         box=SIMPLE,
     )
@@ -41,8 +42,8 @@ def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
             quantity(one.reached, one.unit),
             signed(one.margin, one.unit),
             *beside,
-            *_worst_cells(one),
-            phases(one),
+            *_worst_cells(one)[: len(where)],
+            *([] if against else [phases(one)]),
             *([", ".join(map(truncate, one.lost))] if loses else []),
         )
     console = terminal()
@@ -161,8 +162,9 @@ def junit(found: Verdict, name: str) -> str:
     for one in found.requirements:
         said = f"demanded {'at most' if one.at_most else 'at least'} {quantity(one.demanded, one.unit)}"
         said += f", reached {quantity(one.reached, one.unit)}"
-        details = [said, worst_place(one), f"lost: {lost}" if (lost := lost_sensors(one)) else ""]
-        details += [one.sampling.text] if one.sampling else []
+        details = [said, worst_place(one), f"sensors lost there: {', '.join(one.lost)}" if one.lost else ""]
+        details += [f"fails without any one of {', '.join(one.breaking)}" if one.passed and one.breaking else ""]
+        details += [*one.notes, one.sampling.text if one.sampling else "", one.not_achievable or ""]
         text = escape(xml_text("\n".join(line for line in details if line)))
         lines.append(f'    <testcase classname="requirements" name={_quoted(one.name)}>')
         if one.passed:

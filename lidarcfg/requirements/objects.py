@@ -183,7 +183,7 @@ class ObjectJudge:
         worst, values = positions(found.places, found.values)
         at = found.places[worst, :2]
         side_m = np.full(len(at), stand.far_step_m)
-        if stand.zone.body:
+        if stand.zone.body and stand.near_step_m < stand.far_step_m:
             distance_m = stand.zone.body.to_points_m(at)
             side_m[distance_m <= stand.near_m + stand.far_step_m] *= 2  # to the edge of the finer grid
             side_m[distance_m <= stand.near_m] = stand.near_step_m
