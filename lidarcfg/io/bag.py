@@ -20,8 +20,8 @@ from lidarcfg.geometry import inverse
 from lidarcfg.io.drive_dataset import DriveDataset, stamp_ns
 from lidarcfg.io.kits.frames import BASE_LINK, MAP, ros_name, ros_names
 from lidarcfg.io.messages import Messages, ros_store
-from lidarcfg.packets.codec import OBJECT, PLAIN, PointField
 from lidarcfg.packets.families import family
+from lidarcfg.packets.point_fields import OBJECT, PLAIN, PointField
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS
 

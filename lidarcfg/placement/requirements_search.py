@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import TracebackType
 
 import numpy as np
@@ -248,7 +249,6 @@ class RequirementsRun(SearchRun):
         self._points = plain_points(study) if plain else np.full((1, int(study.free.sum())), 0.5)
         super().__init__(study, PointsFirst(study, self._points) if study.free.any() else FixedPoint(), log)
         self._requirements = study.requirements
-        self._verifier = Verifier(study.requirements)
         self._verify_s = 0.0  # the longest time that it took
         self._more_places: dict[int, Array] = {}  # by requirement
         self._restarts = 0
@@ -256,6 +256,10 @@ class RequirementsRun(SearchRun):
         self._next_check = 0  # evaluations
         self._interval = CHECK_EVERY
         self._verified: Verified | None = None  # the cheapest
+
+    @cached_property
+    def _verifier(self) -> Verifier:
+        return Verifier(self._requirements)
 
     @property
     def is_verified(self) -> bool:
@@ -320,12 +324,14 @@ class RequirementsRun(SearchRun):
         """Whether the best rig meets all requirements, at all places."""
         if self._is_best_verified:
             return True
-        if not meets(self.best_cost) or self._missed():
-            return False
+        return meets(self.best_cost) and not self._missed() and self._verify().passed
+
+    def _verify(self) -> Verdict:
+        """The verdict on the best rig, which is kept if it passes."""
         found = self.verdict_on(self.best_x)
         if found.passed:
             self._verified = Verified(self.best_x.copy(), self.best_cost, found)
-        return found.passed
+        return found
 
     def _mounts(self, x: Array) -> Sequence[Mount]:
         """Those of the rig at a point."""
@@ -342,9 +348,8 @@ class RequirementsRun(SearchRun):
                 self._add(number, places)
             self._restart(evaluator, self._points)
             return
-        found = self.verdict_on(self.best_x)
+        found = self._verify()
         if found.passed:
-            self._verified = Verified(self.best_x.copy(), self.best_cost, found)
             self._schedule(2 * self._interval)
             return
         self._schedule(CHECK_EVERY)

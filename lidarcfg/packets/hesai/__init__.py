@@ -12,12 +12,13 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import STAMPED, Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
 from lidarcfg.packets.emulator import Site
 from lidarcfg.packets.hesai import decode, encode, telemetry
 from lidarcfg.packets.hesai.emulator import HesaiEmulator
 from lidarcfg.packets.hesai.layout import bytes_of
 from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, resolutions, sending, unit, unit_of
+from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Pattern, ranked
 from lidarcfg.sensors.rig import SINGLE, Mount
 from lidarcfg.sensors.sensor import Sensor

@@ -12,12 +12,13 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import LIVOX, Codec, Decoder, KnownSensors, Payloads, Source
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Payloads, Source
 from lidarcfg.packets.emulator import Emulator, Site
 from lidarcfg.packets.livox import decode, encode, telemetry
 from lidarcfg.packets.livox.emulator import LivoxEmulator
 from lidarcfg.packets.livox.layout import bytes_of, headers_of, is_points, packet_of
 from lidarcfg.packets.livox.model import DATA_TYPES, Facts, Settings, Unit, batches, settings, unit
+from lidarcfg.packets.point_fields import LIVOX
 from lidarcfg.sensors.firing import STRONGEST, Batch, Pace
 from lidarcfg.sensors.pattern_timing import PatternTiming, in_view
 from lidarcfg.sensors.rig import Mount

@@ -13,11 +13,12 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import OUSTER, Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
 from lidarcfg.packets.emulator import Site
 from lidarcfg.packets.ouster import decode, encode, telemetry
 from lidarcfg.packets.ouster.emulator import OusterEmulator
 from lidarcfg.packets.ouster.model import Facts, Mode, Settings, Unit, batches, mode, unit
+from lidarcfg.packets.point_fields import OUSTER
 from lidarcfg.sensors.firing import Batch, Pace, Pattern
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
