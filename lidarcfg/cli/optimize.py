@@ -99,8 +99,8 @@ def optimize(
 
     If the study lets sensors be chosen (`choose`), the result is a front: the rigs that no other rig beats in both
     price and objective. front.html shows them, and points/ has a folder for each. All combinations share the budget.
-    With requirements, the result is instead the cheapest rig that meets all of them; combinations.csv says how long
-    each cheaper combination was searched, and by how much it fell short.
+    With requirements, the result is instead the cheapest rig that meets all of them; combinations.csv lists all
+    combinations: how long each was searched, by how much it fell short, or why none of its rigs can meet all.
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
