@@ -61,6 +61,11 @@ def up(rpy_rad: ArrayLike) -> Array:
     return out
 
 
+def rotations(rpy_rad: ArrayLike) -> Array:
+    """(…, 3, 3) R as in `rotation`, of frames with roll, pitch, yaw (…, 3)."""
+    return np.concatenate([level(rpy_rad), up(rpy_rad)[..., None]], axis=-1)
+
+
 def leaning(axis: Array, yaw_rad: Array) -> Array:
     """(…, 3) roll, pitch, yaw of frames rotated by yaw (…), then by the shortest rotation of their z to axis (…, 3)."""
     x, y, z = np.moveaxis(axis, -1, 0)
@@ -81,7 +86,8 @@ def leaning(axis: Array, yaw_rad: Array) -> Array:
 
 def turned(rpy_rad: ArrayLike, by_rad: ArrayLike) -> Array:
     """(…, 3, 3) R(rpy) R(by): frames with roll, pitch, yaw (…, 3), rotated further about their own axes."""
-    first, second = (np.concatenate([level(a), up(a)[..., None]], axis=-1) for a in (rpy_rad, by_rad))
+    first = rotations(rpy_rad)
+    second = rotations(by_rad)
     product: Array = np.sum(first[..., :, :, None] * second[..., None, :, :], axis=-2)
     return product
 

@@ -19,7 +19,8 @@ LISTING = (
     ["sensors"],  # sensors, rigs and mounts
     ["world"],  # scenes, vehicles, trajectories; the tracer
     ["packets"],  # a maker a folder: bytes, and when lasers fire
-    ["simulate"],  # firings, echoes, returns
+    ["simulate"],  # a drive: firings, echoes, points
+    ["returns"],  # what sensors get from an object at places
     ["requirements"],  # what a rig must see, and the verdict
     ["placement"],  # the paper and beyond
     ["capture"],  # pcap, export, decode, replay

@@ -9,7 +9,9 @@ from scipy.spatial import cKDTree
 from scipy.stats import binomtest
 
 from lidarcfg.placement.cones import poses as sensor_poses
-from lidarcfg.simulate.returns import Target, compiled, returns, scanner
+from lidarcfg.returns.counts import returns
+from lidarcfg.returns.scanners import compiled, scanner
+from lidarcfg.returns.target import Target
 from lidarcfg.world.tracer import Obstacles, build_bvh
 from lidarcfg.world.vehicle import load_vehicle
 from tests.returns_cases import lidars, mount

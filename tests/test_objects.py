@@ -13,6 +13,8 @@ SIZES_M = {  # x, y, z
     "cyclist": (1.74, 0.63, 1.75),
     "car": (4.20, 1.98, 1.45),  # with mirrors
     "tyre": (0.632, 0.632, 0.205),
+    "dog": (1.25, 0.30, 0.84),  # the shoulder is at 0.60 m
+    "post": (0.1, 0.1, 1.0),
 }
 VOLUME_M3 = {  # a body's mass by its density of 1 kg/l; a car's clearance below its floor is not its own
     "pedestrian": (0.06, 0.09),
@@ -20,6 +22,8 @@ VOLUME_M3 = {  # a body's mass by its density of 1 kg/l; a car's clearance below
     "cyclist": (0.07, 0.11),
     "car": (5.5, 8.0),
     "tyre": (0.012, 0.03),
+    "dog": (0.03, 0.05),  # 30 to 40 kg
+    "post": (0.0074, 0.0079),  # π 0.05² m² × 1 m
 }
 
 

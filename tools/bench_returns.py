@@ -19,8 +19,10 @@ from page import ROOT, machine, table
 from lidarcfg.placement.cones import poses, rig_lidars
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import Study, load_study, with_solver
+from lidarcfg.returns.counts import returns
+from lidarcfg.returns.scanners import PHASES, compiled, scanner
+from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import load_rig
-from lidarcfg.simulate.returns import PHASES, Target, compiled, returns, scanner
 from lidarcfg.world.meshes import read_mesh
 
 OBJECTS = ("pedestrian", "child", "cyclist", "car", "tyre")

@@ -1,4 +1,4 @@
-"""Make the objects of data/objects/: a pedestrian, a child, a cyclist, a car and a tyre that lies on the road.
+"""Make the objects of data/objects/: a pedestrian, a child, a cyclist, a car, a dog, a post, and a tyre on the road.
 
 Usage: .venv/bin/python tools/make_objects.py [FOLDER]      (needs the extra `vehicles`)
 
@@ -143,7 +143,34 @@ def tyre() -> Manifold:
     return Manifold.revolve(CrossSection([profile]), 48)
 
 
-OBJECTS = {"pedestrian": adult, "child": child, "cyclist": cyclist, "car": car, "tyre": tyre}
+def dog() -> Manifold:
+    """A dog of 0.6 m at the shoulder, as large as a German shepherd."""
+    fore = [(0.27, 0.08, 0.44, 0.07), (0.25, 0.085, 0.24, 0.035), (0.27, 0.085, 0.03, 0.03)]
+    hind = [(-0.29, 0.075, 0.42, 0.075), (-0.24, 0.085, 0.27, 0.045), (-0.36, 0.085, 0.16, 0.03)]
+    hind.append((-0.33, 0.085, 0.03, 0.03))
+    trunk = limb((0.24, 0.0, 0.47, 0.125), (0.0, 0.0, 0.46, 0.115), (-0.27, 0.0, 0.48, 0.10))
+    neck = limb((0.29, 0.0, 0.51, 0.085), (0.42, 0.0, 0.68, 0.075))
+    skull = limb((0.42, 0.0, 0.70, 0.085), (0.50, 0.0, 0.68, 0.06), (0.62, 0.0, 0.65, 0.035))
+    ears = both(limb((0.40, 0.05, 0.76, 0.025), (0.39, 0.065, 0.83, 0.012)))
+    tail = limb((-0.36, 0.0, 0.50, 0.035), (-0.50, 0.0, 0.40, 0.03), (-0.58, 0.0, 0.28, 0.02))
+    legs = both(limb(*fore) + limb(*hind)).trim_by_plane([0, 0, 1], 0.0)
+    return trunk + neck + skull + ears + tail + legs
+
+
+def post() -> Manifold:
+    """A bollard: a round post of 0.1 m, 1 m high."""
+    return Manifold.cylinder(1.0, 0.05, 0.05, 32)
+
+
+OBJECTS = {
+    "pedestrian": adult,
+    "child": child,
+    "cyclist": cyclist,
+    "car": car,
+    "tyre": tyre,
+    "dog": dog,
+    "post": post,
+}
 
 
 def main(folder: Path) -> None:

@@ -36,8 +36,9 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
+from lidarcfg.returns.scanners import Poses, Scanner, compiled
+from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.returns import Poses, Scanner, Target, compiled
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.tracer import NO_OBSTACLES
 
@@ -162,8 +163,8 @@ def undetected(study: Study, rig: Rig, targets: dict[str, Target], where: dict[s
     for n, (name, target) in enumerate(targets.items()):
         for ring, places in enumerate(where[name]):
             ends = np.array([len(places)])
-            counter = core.returns.ReturnCounter(firing, target.shape, places, ends, obstacles, least)
-            out[n, ring] = counter.missed(np.arange(len(firing)), *poses, 0, math.inf) / len(places)
+            known = core.returns.KnownReturns(firing, [target.shape], places, ends, obstacles)
+            out[n, ring] = known.missed(np.arange(len(firing)), *poses, 0, least, math.inf) / len(places)
     return out
 
 

@@ -20,6 +20,7 @@ from lidarcfg.files import example
 
 Vec3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
+Weight = Annotated[float, Field(ge=1e-9, le=1e9)]
 NAME_MAX = 200  # characters: a longer name fits neither into a picture nor into a file's name
 Name = Annotated[str, Field(min_length=1, max_length=NAME_MAX)]
 COORDINATE_MAX_M = 1e8  # metres; UTM reaches 1e7

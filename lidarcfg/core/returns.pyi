@@ -41,26 +41,61 @@ class TargetShape:
     def __init__(self, bvh: Bvh, low_m: ArrayLike, high_m: ArrayLike) -> None:
         """Its hierarchy and the corners (3,) of its bounding box."""
 
-class ReturnCounter:
-    """In how many places an object is missed, trial after trial; threads share it, and so what each has found."""
+class KnownReturns:
+    """The returns from objects at their places, of sensors at poses, rig after rig; threads share what each has found.
+
+    A rig is S sensors, each of a scanner by number, at R (S, 3, 3), t (S, 3).
+    """
 
     def __init__(
         self,
         scanners: Sequence[Scanner],
-        target: TargetShape,
+        objects: Sequence[TargetShape],
         places: Array,
-        group_ends: NDArray[np.int64],
+        ends: NDArray[np.int64],
         obstacles: Obstacles,
-        enough: int,
     ) -> None:
-        """For an object at places (P, 4), in groups that end at group_ends (G,), that `enough` returns detect."""
-    def missed(self, sensors: NDArray[np.int64], R: Array, t: Array, group: int, most: float) -> float:
-        """In how many places of a group it is missed by sensors (S,), ascending, at R (S, 3, 3), t (S, 3).
+        """Objects at places (P, 4), those of one after those of the other, which end at ends (objects,)."""
+    def misses(
+        self, scanners: NDArray[np.int64], R: Array, t: Array, weights: Array, enough: int, most: float
+    ) -> float:
+        """The weighted mean over objects of the share of places with fewer than `enough` returns.
 
         By the mean over phases; or, as soon as it is known to be at least `most`, any number that is.
         """
-    def missed_among(self, sensors: NDArray[np.int64], R: Array, t: Array, group: int, count: int) -> float:
+    def missed(self, scanners: NDArray[np.int64], R: Array, t: Array, object: int, enough: int, most: float) -> float:
+        """In how many of its places an object is missed, by the mean over phases; or any number from `most` on."""
+    def missed_among(
+        self, scanners: NDArray[np.int64], R: Array, t: Array, object: int, enough: int, count: int
+    ) -> float:
         """The same among so many of these places, the likeliest to be missed: no more than `missed`."""
+    def probabilities(
+        self,
+        scanners: NDArray[np.int64],
+        R: Array,
+        t: Array,
+        object: int,
+        which: NDArray[np.int64],
+        enough: int,
+        missed: Array,
+    ) -> None:
+        """Write to missed (N,) how likely an object is missed at some, which (N,), of its places."""
+    def lowest(
+        self,
+        scanners: NDArray[np.int64],
+        R: Array,
+        t: Array,
+        object: int,
+        which: NDArray[np.int64],
+        cap: int,
+        wanted: int,
+        counts: NDArray[np.int32],
+        phases: NDArray[np.int8],
+    ) -> None:
+        """Write the returns (N, S) in each sensor's worst phase at some places, at most `cap`, and that phase.
+
+        At each place the nearest sensors come first; once `wanted` of them have `cap` the others are unknown: -1.
+        """
     @property
     def memory_bytes(self) -> int:
         """What is known of sensors at poses takes no more memory."""
@@ -79,24 +114,6 @@ def count_returns(
     counts: NDArray[np.int32],
 ) -> None:
     """Write to counts (P, S, phases) the returns from an object at some, which (N,), of places (P, 4)."""
-
-def count_lowest(
-    places: Array,
-    which: NDArray[np.int64],
-    scanners: Sequence[Scanner],
-    R: Array,
-    t: Array,
-    target: TargetShape,
-    obstacles: Obstacles,
-    cap: int,
-    wanted: int,
-    counts: NDArray[np.int32],
-    phases: NDArray[np.int8],
-) -> None:
-    """Write the returns (P, S) in each sensor's worst phase, at most `cap`, where they are below 0, and that phase.
-
-    At each place the nearest sensors come first; once `wanted` of them have `cap` the others stay unknown.
-    """
 
 def count_clusters(
     places: Array,

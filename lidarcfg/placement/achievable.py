@@ -19,9 +19,9 @@ from lidarcfg.placement.study import Study
 from lidarcfg.requirements.objects import ObjectRequirement, reached
 from lidarcfg.requirements.prices import PriceRequirement
 from lidarcfg.requirements.sight import places_within
+from lidarcfg.returns.scanners import PHASES
 from lidarcfg.sensors.firing import CycleBeams
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.returns import PHASES
 
 LOOKED_AT = 48  # directions around the body: in each the nearest place of an object is looked at from everywhere
 FROM = 512  # places of sensors, from which they are

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import placement as core
 from lidarcfg.geometry import Array, level, up
+from lidarcfg.returns.scanners import Poses
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.returns import Poses
 
 FIRST = 6  # the column of the lowest beam in a row of `cone_rows`
 

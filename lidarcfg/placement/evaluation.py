@@ -181,7 +181,7 @@ def evaluate(
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts)
     sensors = [mount.sensor for mount in rig.mounts]
-    if fault := without_cones(study.objective, study.detection, study.seeks_margin, sensors):
+    if fault := without_cones(study.objective, study.detection, study.only_required, sensors):
         raise ConfigError(f"study {study.name!r}: {key_text(fault[0])}{fault[1]}")
     if tolerance is not None and any(sensor.scan_pattern for sensor in sensors):
         raise ConfigError("a tolerance is that of cones of beams; sensors with a scan pattern have none")

@@ -21,8 +21,7 @@ from lidarcfg.core import placement as core
 from lidarcfg.geometry import Array, level, up
 from lidarcfg.inputs import check_memory
 from lidarcfg.placement.batch import Batch, BatchResult, Counter, Placed, Sources, parallel_for
-from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, placed
-from lidarcfg.placement.metric import max_vsr as max_vsr
+from lidarcfg.placement.cones import FIRST, Lidar, cone_rows
 from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Words, check_grid, cuboid_number, grid_of
@@ -164,7 +163,7 @@ class Evaluator:
         trials = np.flatnonzero(np.isnan(out))
 
         def one(trial: int) -> tuple[float, Index, int]:
-            rig = Trial(self._region, self._rig(poses[trial]), self._visibility)
+            rig = Trial(self._region, self._lidars, self._visibility, poses[trial])
             cost = criterion.of(rig, float(upper_bound[trial]))
             cut = sum(case.is_cut for case in criterion.cases(rig))
             return cost, self._worst(criterion, rig), cut
@@ -280,9 +279,6 @@ class Evaluator:
     def _evaluated(self, count: int) -> None:
         if self.on_evaluated:
             self.on_evaluated(count)
-
-    def _rig(self, poses: Array) -> list[Lidar]:
-        return [placed(one, row[:3], row[3:]) for row, one in zip(poses, self._lidars, strict=True)]
 
     def _placed(self, poses: Array) -> Placed:
         """The LiDARs at poses (n, lidars, 6)."""

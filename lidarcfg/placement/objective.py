@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from lidarcfg import core
-from lidarcfg.config.models import COORDINATE_MAX_M, Model
+from lidarcfg.config.models import COORDINATE_MAX_M, Model, Weight
+from lidarcfg.geometry import Array, rotations
 from lidarcfg.placement.blind_spots import Directions, fraction_below, largest_m, looked_at, seen_by_any
-from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.cones import Lidar, placed
 from lidarcfg.placement.cones import poses as poses_of
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
 from lidarcfg.placement.metric import Node, Spheres, clearance_m
@@ -27,9 +27,12 @@ from lidarcfg.placement.region import Region, cuboids_needed
 from lidarcfg.placement.return_counts import DetectionTarget, MissCounter
 from lidarcfg.placement.subspace import Links, Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.placement.zones import Weight, Weights, weighted_vsr_m
+from lidarcfg.placement.zones import Weights, weighted_vsr_m
+from lidarcfg.returns.known import KnownReturns, RigAt
+from lidarcfg.returns.misses import Misses, MissesFile
+from lidarcfg.returns.scanners import Poses
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.returns import Poses
 from lidarcfg.world.tracer import NO_OBSTACLES
 
 SIGHT = ("blind_volume", "seen_by_two", "blind_spot_m")  # terms that tell rigs apart only where something limits sight
@@ -50,8 +53,12 @@ class BlindSpotObjective(Model):
 
 
 class Objective(Model):
-    """What is minimised: the weighted mean of these. By default the paper's max VSR alone."""
+    """What is minimised: the weighted mean of these.
 
+    By default misses alone, or where there is no vehicle the paper's max VSR.
+    """
+
+    misses: MissesFile | None = None  # the share of places where objects get too few returns
     max_vsr: Weight | None = None  # metres
     inscribed_radius: Weight | None = None  # metres: the largest sphere that no beam touches
     detection: dict[str, Weight] = Field(default_factory=dict)  # by object: 1 − its detection rate
@@ -62,16 +69,17 @@ class Objective(Model):
     @property
     def is_max_vsr(self) -> bool:
         """Whether it is max VSR alone."""
-        return not self.detection and all(getattr(self, key) is None for key in ("inscribed_radius", *SIGHT))
+        others = ("misses", "inscribed_radius", *SIGHT)
+        return not self.detection and all(getattr(self, key) is None for key in others)
 
 
 def without_cones(
-    objective: Objective, detection: Sequence[DetectionObject], seeks_margin: bool, sensors: Sequence[Sensor]
+    objective: Objective, detection: Sequence[DetectionObject], only_required: bool, sensors: Sequence[Sensor]
 ) -> tuple[tuple[str | int, ...], str] | None:
     """The key of a study that only cones of beams can answer, and why some sensor's cannot; None if all is well."""
     keys: list[tuple[str | int, ...]] = [("detection", i) for i, item in enumerate(detection) if item.returns is None]
     keys += [("objective", key) for key in ("max_vsr", "inscribed_radius") if getattr(objective, key) is not None]
-    if objective.is_max_vsr and not seeks_margin:
+    if objective.is_max_vsr and not only_required:
         keys.append(("objective",))
     scans = [sensor.name for sensor in sensors if sensor.scan_pattern]
     if not scans or not keys:
@@ -79,23 +87,34 @@ def without_cones(
     what = "counts subspaces" if keys[0][0] == "detection" else "is max_vsr" if keys[0] == ("objective",) else "is"
     return keys[0], (
         f"{what} of cones of beams, and {scans[0]} has a scan pattern; "
-        "instead, detect objects by returns (detection: returns), or give requirements"
+        "instead, detect objects by returns (detection: returns), give a vehicle, or give requirements"
     )
 
 
 class Trial:
     """A rig that is evaluated: its LiDARs, and its subspaces once a term asks for them."""
 
-    def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: Visibility | None) -> None:
+    def __init__(
+        self, region: Region, lidars: Sequence[Lidar], visibility: Visibility | None, poses: Array | None = None
+    ) -> None:
+        """LiDARs where they are, or at poses (lidars, 6): x, y, z, roll, pitch, yaw."""
         self.region = region
-        self.lidars = lidars
         self.visibility = visibility
         self.kept = tuple(range(len(lidars)))  # the numbers of its LiDARs in the whole rig
         self.is_cut = False  # into subspaces
         self.weighted_vsr_m = np.empty(0)  # of its subspaces; see forget
         self.first = np.empty(0, np.int64)  # cuboid of each
+        self._given = lidars
+        self._at = poses
         self._whole: Trial | None = None
         self._left: dict[tuple[int, ...], Trial] = {}
+
+    @cached_property
+    def lidars(self) -> Sequence[Lidar]:
+        """The LiDARs at their poses."""
+        if self._at is None:
+            return self._given
+        return [placed(one, row[:3], row[3:]) for row, one in zip(self._at, self._given, strict=True)]
 
     @cached_property
     def subspaces(self) -> Subspaces:
@@ -108,7 +127,9 @@ class Trial:
     @cached_property
     def poses(self) -> Poses:
         """Where its LiDARs are."""
-        return poses_of(self.lidars)
+        if self._at is None:
+            return poses_of(self.lidars)
+        return Poses(rotations(self._at[:, 3:]), np.ascontiguousarray(self._at[:, :3]))
 
     def forget(self, weight: Weights | None) -> None:
         """Drop its subspaces, which are large, but for their weighted VSR and the first cuboid of each."""
@@ -124,7 +145,9 @@ class Trial:
     def left(self, kept: tuple[int, ...]) -> "Trial":
         """The trial of the same rig with only some of its LiDARs."""
         if kept not in self._left:
-            one = Trial(self.region, [self.lidars[i] for i in kept], self.visibility)
+            some = list(kept)
+            at = None if self._at is None else self._at[some]
+            one = Trial(self.region, [self._given[i] for i in some], self.visibility, at)
             one.kept = kept
             one._whole = self
             self._left[kept] = one
@@ -186,6 +209,26 @@ class MaxVsr:
         """Learns nothing: the evaluator has certificates of max VSR."""
 
 
+class MissesTerm:
+    """The share of places where objects get too few returns. Stops once they do at too many places."""
+
+    work = 1e2
+
+    def __init__(self, misses: Misses, known: KnownReturns, mounts: Sequence[Mount]) -> None:
+        """At the places of returns that are known, for rigs of these mounts, wherever they are."""
+        self._misses = misses
+        self._known = known
+        self._numbers = known.numbers(mounts)
+
+    def value(self, trial: Trial, limit: float = math.inf) -> float:
+        """Its value, or any number that is at least `limit` once it is known to be."""
+        rig = RigAt(self._numbers[list(trial.kept)], *trial.poses)
+        return self._known.misses(rig, self._misses.weights, self._misses.returns, limit)
+
+    def learn(self) -> None:
+        """Learns nothing: what is known of returns is kept as they are counted."""
+
+
 class Undetected:
     """1 − the detection rate of an object. Stops once it is undetected in too many places."""
 
@@ -205,11 +248,11 @@ class Undetected:
 class MissRate:
     """1 − the detection rate of an object by its returns. Stops once too many places have too few returns."""
 
-    def __init__(self, target: DetectionTarget, scanners: Sequence[core.returns.Scanner]) -> None:
-        """`scanners` of all of the study's LiDARs."""
+    def __init__(self, target: DetectionTarget, mounts: Sequence[Mount]) -> None:
+        """`mounts`: all of the study's, wherever they are."""
         self._target = target
-        self._scanners = scanners
-        self._counter = MissCounter(target, scanners, NO_OBSTACLES)
+        self._mounts = mounts
+        self._counter = MissCounter(target, mounts, NO_OBSTACLES)
         self.work = 1e3 * len(target.places)
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
@@ -224,7 +267,7 @@ class MissRate:
         obstacles = trial.visibility.obstacles if trial.visibility else NO_OBSTACLES
         counter = self._counter
         if counter.obstacles is not obstacles:
-            counter = self._counter = MissCounter(self._target, self._scanners, obstacles)
+            counter = self._counter = MissCounter(self._target, self._mounts, obstacles)
         return counter
 
     def learn(self) -> None:
@@ -316,6 +359,7 @@ class Criterion:
         objects: Sequence[DetectionObject],
         around: Directions | None = None,  # needed for a blind spot
         by_returns: Mapping[str, MissRate] = MappingProxyType({}),  # needed for objects that are detected by them
+        misses: MissesTerm | None = None,  # needed for misses
         weight: Weights | None = None,  # of max VSR, by cuboid
         kept: Flags = EVERY_CASE,  # (cases, lidars); no cases: the whole rig alone
     ) -> None:
@@ -328,6 +372,9 @@ class Criterion:
             by_returns.get(item.name) or Undetected(region, item) for item in objects if item.name in wanted
         ]
         self._weights = [wanted[item.name] for item in objects if item.name in wanted]
+        if objective.misses is not None and misses is not None:
+            self.terms.append(misses)
+            self._weights.append(objective.misses.weight)
         self.max_vsr: int | None = None  # which term it is
         if objective.max_vsr is not None or objective.is_max_vsr:
             self.max_vsr = len(self.terms)

@@ -37,10 +37,10 @@ from lidarcfg.placement.solvers.search import Best, FixedPoint, Search, Trials
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement
-from lidarcfg.requirements.places import FINEST_M, FINEST_RAD
-from lidarcfg.requirements.trials import Draws, RigTrials
+from lidarcfg.requirements.shortfalls import Draws, Shortfalls
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
+from lidarcfg.returns.places import FINEST_M, FINEST_RAD
 from lidarcfg.sensors.rig import Mount
 
 MET_SCALE = 2.0**-80
@@ -77,7 +77,7 @@ def readable(cost: float) -> float:
 class RequirementsEvaluator:
     """Evaluates poses (n, slots, 6) of a study's sensors; a context that owns its threads. As StudyEvaluator.
 
-    `more_places`: see RigTrials.
+    `more_places`: see Shortfalls.
     """
 
     smooths = False  # whether costs can be smoothed
@@ -97,8 +97,8 @@ class RequirementsEvaluator:
         self._on_evaluations = on_evaluations
         self._requirements = study.requirements
         self._mounts = study.rig(study.lower).mounts
-        self._judge = RigTrials(self._requirements, self._mounts, skip, more_places)
-        self._objective = None if study.seeks_margin else StudyEvaluator(study, threads, skip)
+        self._judge = Shortfalls(self._requirements, self._mounts, skip, more_places)
+        self._objective = None if study.only_required else StudyEvaluator(study, threads, skip)
         self._seconds = 0.0
         self.trials = 0  # evaluated, in full or until they were refuted
 
@@ -111,8 +111,8 @@ class RequirementsEvaluator:
             self._objective.__exit__(kind, value, at)
 
     def add_places(self, more_places: Mapping[int, Array]) -> None:
-        """Use these places, too, from now on; see RigTrials. What is known of sensors is forgotten."""
-        self._judge = RigTrials(self._requirements, self._mounts, self._skip, more_places)
+        """Use these places, too, from now on; see Shortfalls. What is known of sensors is forgotten."""
+        self._judge = Shortfalls(self._requirements, self._mounts, self._skip, more_places)
 
     @property
     def slice(self) -> int:
@@ -163,10 +163,7 @@ class RequirementsEvaluator:
 
     def _cost(self, rig: Draws, limit: float) -> float:
         """The cost of a rig by shortfalls and margin; 0 if it meets all and there is an objective."""
-        shortfall = self._judge.shortfall(rig, limit)
-        if shortfall > 0 or self._objective:
-            return cost_of(shortfall, 0.0)
-        return cost_of(0.0, self._judge.tightness(rig, limit / MET_SCALE if limit < MET_MOST else math.inf))
+        return cost_of(self._judge.shortfall(rig, limit), 0.0)
 
 
 class PointsFirst(Best):
@@ -417,7 +414,7 @@ class RequirementsRun(SearchRun):
             remarks.append(f"{places} places joined those that count in a search, as rigs failed there")
         found = super().placement(interrupted, _with_reasons(self.study, verdict))
         poses = self.study.poses(x[None])[0]
-        if self.study.seeks_margin:
+        if self.study.only_required:
             objective = verdict.least_margin
         else:
             objective = readable(self.best_cost) if meets(self.best_cost) else self.study.cost(poses)

@@ -26,8 +26,11 @@ from lidarcfg.placement.detection import (
     ring,
 )
 from lidarcfg.placement.region import AXES, Region
-from lidarcfg.requirements.target import box_target, mesh_target
-from lidarcfg.simulate.returns import Poses, Target, returns
+from lidarcfg.returns.counts import returns
+from lidarcfg.returns.known import KnownReturns, RigAt, Standing
+from lidarcfg.returns.scanners import Poses
+from lidarcfg.returns.target import Target, box_target, mesh_target
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.tracer import Obstacles
 
 STEP_M = 1.0
@@ -199,27 +202,27 @@ class MissCounter:
     Threads share it.
     """
 
-    def __init__(self, target: DetectionTarget, scanners: Sequence[core.returns.Scanner], obstacles: Obstacles) -> None:
-        ends = np.append(_ends(target) if target.item.samples else [], len(target.places)).astype(np.int64)
+    def __init__(self, target: DetectionTarget, mounts: Sequence[Mount], obstacles: Obstacles) -> None:
         self.obstacles = obstacles
+        self._enough = target.enough
         self._drawn = target.item.samples is not None
-        self._counts: list[int] = np.diff(ends, prepend=0).tolist()  # of places in each replicate
-        self._counter = core.returns.ReturnCounter(
-            scanners, target.target.shape, target.places, ends, obstacles, target.enough
-        )
+        parts = np.split(target.places, _ends(target)) if self._drawn else [target.places]
+        self._counts = [len(part) for part in parts]  # places in each replicate
+        self._known = KnownReturns([Standing(target.target, part) for part in parts], obstacles, mounts)
+        self._numbers = self._known.numbers(mounts)
         what = f"{target.item.name}, with {len(target.places):,} places,"
-        check_memory(what, self._counter.memory_bytes, "give fewer places")
+        check_memory(what, self._known.memory_bytes, "give fewer places")
 
     def rate(self, sensors: Sequence[int], poses: Poses, limit: float = math.inf) -> float:
-        """The miss rate with some scanners, their numbers ascending; any value from `limit` on once it reaches that."""
-        numbers = np.array(sensors, np.int64)
+        """The miss rate with some sensors, by their numbers; any value from `limit` on once it reaches that."""
+        rig = RigAt(self._numbers[list(sensors)], *poses)
         if not self._drawn:
             (count,) = self._counts
-            missed = self._counter.missed(numbers, *poses, 0, _most(limit, count))
+            missed = self._known.missed(rig, 0, self._enough, _most(limit, count))
             return 1.0 - (1.0 - missed / count)
         rates = np.ones(len(self._counts))
         for number, count in enumerate(self._counts):
-            rates[number] = 1.0 - self._counter.missed(numbers, *poses, number, math.inf) / count
+            rates[number] = 1.0 - self._known.missed(rig, number, self._enough) / count
             if 1.0 - float(np.mean(rates)) >= limit:
                 break
         return 1.0 - float(np.mean(rates))
@@ -229,7 +232,8 @@ class MissCounter:
         if self._drawn:
             return 0.0
         (count,) = self._counts
-        missed = self._counter.missed_among(np.array(sensors, np.int64), *poses, 0, int(share * count))
+        rig = RigAt(self._numbers[list(sensors)], *poses)
+        missed = self._known.missed_among(rig, 0, self._enough, int(share * count))
         return 1.0 - (1.0 - missed / count)
 
 

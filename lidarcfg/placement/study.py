@@ -17,7 +17,15 @@ from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.cones import Lidar, placed, rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Distances, check_fits, from_point
-from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial, without_cones
+from lidarcfg.placement.objective import (
+    EVERY_CASE,
+    Criterion,
+    MissesTerm,
+    MissRate,
+    Objective,
+    Trial,
+    without_cones,
+)
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
 from lidarcfg.placement.slots import (
@@ -38,12 +46,13 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
-from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.requirements import Requirements, Site, Source, resolved, sources
 from lidarcfg.requirements.robustness import Robust, mounted
-from lidarcfg.requirements.sensor_counts import scanners_of
-from lidarcfg.requirements.target import box_target
+from lidarcfg.returns.misses import SEARCH, SEARCH_PLACES, Misses, MissesFile
+from lidarcfg.returns.scanners import scanners_of
+from lidarcfg.returns.target import box_target
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
+from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles
 from lidarcfg.world.vehicle import Vehicle, vehicle
@@ -68,15 +77,16 @@ class Study:
     visibility: Visibility | None = None  # None: every LiDAR sees everything, as in the paper
     robust: Robust | None = None  # what a rig has to withstand
     requirements: Requirements | None = None  # what a rig must see
-    seeks_margin: bool = False  # whether a search widens the least margin, as requirements come without an objective
+    only_required: bool = False  # whether nothing but requirements counts: there is neither an objective nor a vehicle
     zones: tuple[Zone, ...] = ()
     detection_targets: tuple[DetectionTarget, ...] = ()  # the objects that are detected by returns
+    misses: Misses | None = None  # what a rig may miss around the vehicle; None: there is none
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
 
     @property
     def is_max_vsr(self) -> bool:
         """Whether max VSR of the whole rig, and nothing else, is what a search minimises."""
-        return self.objective.is_max_vsr and self.robust is None and not self.zones and not self.seeks_margin
+        return self.objective.is_max_vsr and self.robust is None and not self.zones and not self.only_required
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
@@ -174,7 +184,7 @@ class Study:
         """Whether the objective needs the subspaces: all but detection by returns and the blind spot's distance do."""
         wanted = self.objective
         returns = {item.name for item in self.detection if item.returns}
-        own = (wanted.max_vsr, wanted.inscribed_radius, wanted.blind_volume, wanted.seen_by_two)
+        own = (wanted.max_vsr, wanted.inscribed_radius, wanted.blind_volume, wanted.seen_by_two)  # not misses
         return wanted.is_max_vsr or any(one is not None for one in own) or bool(set(wanted.detection) - returns)
 
     @property
@@ -197,20 +207,25 @@ class Study:
         hidden = self.visibility is not None and self.visibility.blocks
         return self.rigs[1] * int(self.region.included.sum()) * hidden
 
-    def criterion(self, kept: NDArray[np.bool_] = EVERY_CASE, mounts: Sequence[Mount] = ()) -> Criterion:
+    def criterion(
+        self, kept: NDArray[np.bool_] = EVERY_CASE, mounts: Sequence[Mount] = (), places: int = SEARCH_PLACES
+    ) -> Criterion:
         """The objective for this region and these objects; with `kept`, that of the worst case of failure.
 
-        A rig whose sensors are not the study's needs its mounts here.
+        A rig whose sensors are not the study's needs its mounts here. Misses are counted at so many `places` of each
+        object.
         """
         spot = self.objective.blind_spot_m
         around = None if spot is None else self.directions(spot.height_m)
         mounts = mounts or self.rig(self.lower).mounts
 
         wanted = [one for one in self.detection_targets if one.item.name in self.objective.detection]
-        scanners = self.scanners(mounts) if wanted else ()
-        missed = {one.item.name: MissRate(one, scanners) for one in wanted}
+        missed = {one.item.name: MissRate(one, mounts) for one in wanted}
+        term = None
+        if self.objective.misses and self.misses:
+            term = MissesTerm(self.misses, self.misses.known(places, SEARCH, mounts), mounts)
         weight = weights(self.zones, self.region)
-        return Criterion(self.objective, self.region, self.detection, around, missed, weight, kept)
+        return Criterion(self.objective, self.region, self.detection, around, missed, term, weight, kept)
 
     def scanners(self, mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
         """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
@@ -341,9 +356,15 @@ def study_of(file: StudyFile, path: Path) -> Study:
     detection_targets = _detection_targets(file, region, path)
     found = sources(file.requirements, path)
     seen = _visibility(file, region, bodies, surroundings)
-    seeks_margin = bool(found) and "objective" not in file.model_fields_set
-    if fault := without_cones(file.objective, file.detection, seeks_margin, slots.sensors):
+    only_required = False
+    if "objective" not in file.model_fields_set:
+        if bodies:
+            file = file.model_copy(update={"objective": Objective(misses=MissesFile())})
+        else:
+            only_required = bool(found)
+    if fault := without_cones(file.objective, file.detection, only_required, slots.sensors):
         raise error_at(path, *fault)
+    required = _requirements(file, found, slots, region, bodies, seen, path)
     study = Study(
         name=path.stem,
         region=region,
@@ -359,10 +380,11 @@ def study_of(file: StudyFile, path: Path) -> Study:
         surroundings=surroundings,
         visibility=seen,
         robust=file.robust,
-        requirements=_requirements(file, found, slots, region, bodies, seen, path),
-        seeks_margin=seeks_margin,
+        requirements=required,
+        only_required=only_required,
         zones=zones,
         detection_targets=detection_targets,
+        misses=_misses(file, bodies, seen, region, path),
         file=_resolved(file, found, slots.slots, choices, path),
     )
     if detection_targets:
@@ -414,6 +436,23 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
     return Visibility.of(scenes if given.occlusion else [], region, given.range, given.field_of_view)
 
 
+def _ground(seen: Visibility | None, region: Region) -> tuple[Obstacles, float]:
+    """What blocks beams, and the height on which objects stand: the surroundings' ground, or the region's floor."""
+    obstacles = seen.obstacles if seen else NO_OBSTACLES
+    return obstacles, obstacles.ground_m if math.isfinite(obstacles.ground_m) else float(region.min_m[2])
+
+
+def _misses(
+    file: StudyFile, bodies: Vehicle | None, seen: Visibility | None, region: Region, path: Path
+) -> Misses | None:
+    """What a rig may miss around the vehicle: as the objective says it, or as by default."""
+    if bodies is None:
+        return None
+    with errors_at(path, "objective", "misses"):
+        body = Footprint.of(bodies.scene.mesh())
+        return Misses.of(file.objective.misses or MissesFile(), body, *_ground(seen, region), path.parent)
+
+
 def _requirements(
     file: StudyFile,
     found: Sequence[Source],
@@ -427,8 +466,7 @@ def _requirements(
     if not found:
         return None
     prices = {model_name(name, path.parent): price for name, price in (file.prices or {}).items()}
-    obstacles = seen.obstacles if seen else NO_OBSTACLES
-    ground_m = obstacles.ground_m if math.isfinite(obstacles.ground_m) else float(region.min_m[2])
+    obstacles, ground_m = _ground(seen, region)
     models = [choice.model for slot in slots.slots for choice in slot.choices if choice] or [
         slot.model or "" for slot in slots.slots
     ]
@@ -450,7 +488,7 @@ def _resolved(
                 group["model"] = slot.model
     del values["requirements"]
     if found and "objective" not in file.model_fields_set:
-        del values["objective"]
+        del values["objective"]  # nothing but requirements counts
     if found:
         values["requirements"] = [whole_values(one.item, one.path.parent) for one in found]
     if file.prices:

@@ -206,6 +206,9 @@ class StudyFile(Model):
             if zone.name == ELSEWHERE:
                 raise validation_error(f"{ELSEWHERE!r} is what lies in no zone; give another name", "zones", i, "name")
         check_names((zone.name for zone in self.zones), "a zone", "zones")
+        if self.objective.misses and not self.vehicle:
+            what = "are counted around the vehicle's body, and the study has no vehicle; give one"
+            raise validation_error(what, "objective", "misses")
         if not self.limits_sight:
             for key in SIGHT:
                 if getattr(self.objective, key) is not None:

@@ -18,9 +18,9 @@ from scipy.spatial import cKDTree
 from lidarcfg.geometry import Array
 from lidarcfg.placement.study import Study
 from lidarcfg.requirements.objects import ObjectRequirement
-from lidarcfg.requirements.places import Stand
 from lidarcfg.requirements.posts import PostRequirement
 from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
+from lidarcfg.returns.places import Stand
 
 NEAR_M = 1e-3  # by which corners of mirrored bodies may differ
 SAME = 1e-9  # metres and radians, by which bounds may
@@ -109,7 +109,7 @@ def _firsts(study: Study) -> Iterator[tuple[dict[str, Any], int]]:
 
 def is_mirrored(study: Study, plane_y_m: float) -> bool:
     """Whether the plane y = plane_y_m mirrors the bodies and all that requirements ask for."""
-    if study.requirements is None or study.surroundings or not study.seeks_margin:  # an objective has its own zones
+    if study.requirements is None or study.surroundings or not study.only_required:  # an objective has its own zones
         return False
     if study.vehicle and not _mirrors(study.vehicle.scene.mesh()[0], plane_y_m):
         return False

@@ -7,14 +7,13 @@ of its zones; outside of all zones the weight is 1. Zones do not cut subspaces.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from lidarcfg import core
-from lidarcfg.config.models import Name
+from lidarcfg.config.models import Name, Weight
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
@@ -22,7 +21,6 @@ from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import BoxFile, Region
 from lidarcfg.placement.subspace import Subspaces
 
-Weight = Annotated[float, Field(ge=1e-9, le=1e9)]
 WEIGHT_BYTES = 3  # of memory for a cuboid's weight, and an eighth for each weight that there is
 ELSEWHERE = "elsewhere"  # what lies in no zone
 

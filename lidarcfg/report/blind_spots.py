@@ -27,10 +27,10 @@ from lidarcfg.report.canvas import (
 )
 from lidarcfg.report.evidence import draw_body, draw_posts, finish_map
 from lidarcfg.report.html import KeyFigure, Table
-from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.posts import STEP_M as POST_STEP_M
 from lidarcfg.requirements.posts import WIDTH_M, PostVisibility
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.world.footprint import Footprint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -168,7 +168,7 @@ def _by_returns(item: DetectionObject) -> str:
 
 def describe_objective(study: Study) -> str:
     """The quantity that the search minimises, or widens."""
-    if study.seeks_margin:
+    if study.only_required:
         return "the least margin of the requirements, as a part of what each demands, as large as it can be"
     return "; ".join([_describe_terms(study), *_describe_robust(study)])
 
@@ -212,7 +212,7 @@ def _describe_terms(study: Study) -> str:
 def cost_label(study: Study) -> str:
     """What the costs of a search are, on an axis: lower is better."""
     value = "max VSR (m)" if study.is_max_vsr else "objective"
-    if study.seeks_margin:
+    if study.only_required:
         value = "1 / (1 + least margin)"
     return f"shortfall, then {value}" if study.requirements else value
 

@@ -193,7 +193,7 @@ def _summary(study: Study, rig: Rig, details: ReportInputs, placement: Placement
     """Key figures; that which was minimised comes first."""
     found = details.evaluation
     figures = []
-    if placement and study.seeks_margin:
+    if placement and study.only_required:
         figures.append(KeyFigure("Least margin", f"{placement.objective:+.0%}", "of what is demanded"))
     elif placement and not study.is_max_vsr:
         figures.append(KeyFigure("Objective", f"{placement.objective:.6f}", describe_objective(study)))

@@ -23,15 +23,15 @@ from lidarcfg.report.canvas import (
 )
 from lidarcfg.report.describe import counted
 from lidarcfg.report.scenario import draw_scenario_on, scenario_rows
-from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import PlaceCounts
-from lidarcfg.requirements.places import Zone
 from lidarcfg.requirements.posts import STEP_M as POST_STEP_M
 from lidarcfg.requirements.posts import PostVisibility
 from lidarcfg.requirements.verdict import RequirementVerdict
 from lidarcfg.requirements.verify import Evidence, HiddenColumns, SensorView
+from lidarcfg.returns.beams import Outcome
+from lidarcfg.returns.places import Zone
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.beams import Outcome
+from lidarcfg.world.footprint import Footprint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -57,7 +57,7 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
     if study.to_choose:
         sensors = f"{len(combinations(study)):,} combinations of sensors"
     what = "to minimise max VSR" if study.objective.is_max_vsr else "to minimise a weighted mean"
-    if study.seeks_margin:
+    if study.only_required:
         what = "to widen the least margin"
     what += " by zones" * bool(study.zones) + ", with failures or mounting errors" * bool(study.robust)
     count = len(study.requirements.items) if study.requirements else 0

@@ -41,7 +41,7 @@ def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> N
     for line in found.remarks:
         terminal().print(line)
     search = Table(box=SIMPLE, show_header=False)
-    if study.seeks_margin:
+    if study.only_required:
         search.add_row("least margin", f"{found.objective:+.2%} of what is demanded")
     elif not study.is_max_vsr:
         search.add_row("objective", f"{found.objective:.6f}")

@@ -17,43 +17,21 @@ from lidarcfg.config.models import (
 )
 from lidarcfg.files import example
 from lidarcfg.requirements.braking import BrakingOrName
+from lidarcfg.returns.places import Distances, Heading, Sector, ascending
+from lidarcfg.returns.target import SIZE_MAX_M, ObjectOrName
 from lidarcfg.sensors.rig import SENSORS_MAX, Distance, one_of
-from lidarcfg.world.mesh_source import MeshSource
 
 HEADINGS_DEG = tuple(float(heading) for heading in range(0, 360, 45))
-SIZE_MAX_M = 100.0  # of an object
 SPEED_MAX_KM_H = 300.0
 PRICE_MAX = 1e12
 
-Heading = Annotated[float, Field(ge=-360, le=360)]
 Speed = Annotated[float, Field(gt=0, le=SPEED_MAX_KM_H)]
-Size = Annotated[float, Field(gt=0, le=SIZE_MAX_M)]
 Height = Annotated[float, Field(gt=0, le=SIZE_MAX_M)]
 
 
-def _check_distances(value: tuple[float, float]) -> tuple[float, float]:
-    if not value[0] < value[1]:
-        raise validation_error(f"{value[1]:g} is not above {value[0]:g}", 1)
-    return value
-
-
-Distances = Annotated[tuple[Distance, Distance], AfterValidator(_check_distances)]  # least, greatest
 Heights = Annotated[
-    tuple[Annotated[float, Field(ge=0, le=SIZE_MAX_M)], Height], AfterValidator(_check_distances)
+    tuple[Annotated[float, Field(ge=0, le=SIZE_MAX_M)], Height], AfterValidator(ascending)
 ]  # least, greatest
-
-
-class ObjectFile(Model):
-    """An object that must be seen: one of data/objects by its name, a box, or a mesh."""
-
-    name: Name | None = None
-    size_m: tuple[Size, Size, Size] | None = None
-    mesh: MeshSource | None = None  # a name is relative to the file
-
-    @model_validator(mode="after")
-    def _check(self) -> "ObjectFile":
-        one_of(self, "name", "size_m", "mesh")
-        return self
 
 
 class BoxFile(Model):
@@ -68,13 +46,6 @@ class BoxFile(Model):
             if not low < high:
                 raise validation_error(f"{high:g} is not above min_m's {low:g}", "max_m", axis)
         return self
-
-
-def _of_name(value: Any) -> Any:
-    return {"name": value} if isinstance(value, str) else value
-
-
-ObjectOrName = Annotated[ObjectFile, BeforeValidator(_of_name, json_schema_input_type=ObjectFile | str)]
 
 
 def _scenario_from(name: str, info: SerializationInfo) -> str:
@@ -114,7 +85,7 @@ class RequirementFile(Model):
     cluster_m: Annotated[float, Field(gt=0, le=10)] | None = None  # they are of one cluster with this tolerance
     sensors: Annotated[int, Field(ge=1, le=SENSORS_MAX)] | None = None  # the number that get them, each alone
     within_m: Distances | None = None  # between the object and the body
-    sector_deg: tuple[Heading, Heading] | None = None  # from, to, counter-clockwise from ahead
+    sector_deg: Sector | None = None  # from, to, counter-clockwise from ahead
     region: BoxFile | None = None  # instead of within_m
     headings_deg: Annotated[tuple[Heading, ...], Field(min_length=1, max_length=360)] | None = None
     at_least: Annotated[float, Field(gt=0, le=1)] | None = None  # fraction of places
@@ -164,24 +135,15 @@ class RequirementFile(Model):
         one_of(self, "within_m", "region")
         if self.sector_deg and not self.within_m:
             raise validation_error("goes with within_m, not with region", "sector_deg")
-        _check_sector(self)
 
     def _check_post(self) -> None:
         if self.first_seen_at_most_m is None and self.gap_at_most_m is None:
             raise validation_error("asks for nothing; give first_seen_at_most_m, gap_at_most_m, or both")
-        _check_sector(self)
 
     @property
     def marker(self) -> str:
         """The key in KINDS that says of which kind it is."""
         return next(key for key in KINDS if getattr(self, key) is not None)
-
-
-def _check_sector(item: RequirementFile) -> None:
-    if item.sector_deg and not 0 < item.sector_deg[1] - item.sector_deg[0] <= 360:
-        low, high = item.sector_deg
-        what = f"{high:g} is not above {low:g} by 360 at most; give from and to, counter-clockwise from ahead"
-        raise validation_error(f"{what}, such as [-45, 45] or [135, 225]", "sector_deg", 1)
 
 
 RequirementOrFile = Annotated[

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.sensor_counts import misplaced
+from lidarcfg.requirements.robustness import misplaced
 from lidarcfg.sensors.rig import Mount
 
 OFF_M = 0.05  # of one coordinate of a mount

@@ -3,29 +3,24 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import core
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.margins import MountMargins, with_one_off
-from lidarcfg.requirements.places import FINEST_M, FINEST_RAD, Stand
-from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensor_counts import (
-    ALL,
-    KeptCounts,
-    OnPlaces,
-    lowest_at,
-    misplaced,
-    no_progress,
-    poses_of,
-    scanners_of,
-    united,
-)
+from lidarcfg.requirements.robustness import Robust, misplaced
+from lidarcfg.requirements.trial_rig import TrialRig
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
+from lidarcfg.returns.counts import ClusterRule, Lowest, OnPlaces, count_clusters, no_progress
+from lidarcfg.returns.known import Share, Standing, lowest_at, shares
+from lidarcfg.returns.places import FINEST_M, FINEST_RAD, Stand
+from lidarcfg.returns.scanners import Poses, poses_of, scanners_of
+from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.simulate.returns import ClusterRule, Lowest, Target, count_clusters
 from lidarcfg.world.tracer import Obstacles
 
 LOWEST = 256  # places, around which others are tried
@@ -41,7 +36,12 @@ JOINT_MAX = 256  # combinations of phases that are all tried for clusters
 # 025908d.
 LOW_M = 0.1
 
+FIRST_PLACES = 32  # of a search's trial, after which it is first asked whether it is refuted already
+GROWTH = 4  # of the number of places, until it is asked again
+FADING = 0.9  # of what a place counted for in earlier batches of trials
+
 Counts = NDArray[np.int64]
+Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -139,32 +139,24 @@ def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts
     return ordered[:, lost + sensors - 1] if lost + sensors <= counts.shape[1] else np.zeros(len(counts), np.int64)
 
 
-def same_counts(one: ObjectRequirement, other: ObjectRequirement) -> bool:
-    """Whether two requirements count the returns of the same object, up to the same cap."""
-    if one.cluster_m is not None or other.cluster_m is not None or one.first_cap != other.first_cap:
-        return False
-    return all(map(np.array_equal, one.target.mesh, other.target.mesh))
-
-
 class ObjectJudge:
-    """Judges rigs by one object requirement; counts of sensors at their latest poses are kept."""
+    """Judges rigs by one object requirement: a verdict, or for searches ever greater lower bounds of the shortfall."""
+
+    is_slow = False
 
     def __init__(
-        self,
-        item: ObjectRequirement,
-        obstacles: Obstacles,
-        robust: Robust | None = None,
-        kept: KeptCounts | None = None,
-        which: NDArray[np.intp] | slice = ALL,
+        self, item: ObjectRequirement, obstacles: Obstacles, robust: Robust | None = None, share: Share | None = None
     ) -> None:
-        """For a requirement; `kept`, if given, is shared, and `which` of its places are the base grid's."""
+        """For a requirement; `share`: its places, of which what is known is kept; without it those of the base grid."""
         self.item = item
-        self.places = item.stand.base  # (P, 4) the base grid's
         self._obstacles = obstacles
         self._robust = robust if robust and robust.drawn else None
-        self._kept = kept or KeptCounts(self.places, item.target, obstacles)
-        self._which = which
+        self._share = share or shares([Standing(item.target, item.stand.base)], obstacles)[0]
+        self.places = self._share.places  # (P, 4)
         self._latest: Clustered | None = None
+        self._weight = np.zeros(len(self.places))  # what places counted for in earlier batches of trials
+        self._of_batch = np.zeros(len(self.places))  # and in this one
+        self._order: Rows = np.arange(len(self.places))
 
     @property
     def work(self) -> int:
@@ -295,6 +287,64 @@ class ObjectJudge:
             notes=tuple(notes),
         )
 
+    def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:
+        """Ever greater lower bounds of a rig's shortfall, with more and more places; the last one is exact.
+
+        The same as a verdict's where these are the base grid's places, but for refined ones and mounting errors.
+        """
+        item = self.item
+        ways = cases(len(rig.poses), item.lost) if item.cluster_m is None else [list(range(len(rig.poses)))]
+        number, count = self._position_numbers
+        best = self._best(count)
+        total = item.returns * best * len(ways)
+        missing = 0
+        worst = np.zeros((len(ways), 0 if item.at_least == 1 else count), np.int64)
+        for rows in self._blocks(stops):
+            short = np.maximum(item.returns - self._got(rig, rows, ways), 0)  # (cases, n)
+            self._of_batch[rows] += short.sum(axis=0)
+            if item.at_least == 1:
+                missing += int(short.sum())
+            else:
+                for case, row in zip(worst, short, strict=True):
+                    np.maximum.at(case, number[rows], row)
+                missing = int(np.sort(worst, axis=1)[:, :best].sum())
+            yield missing / total
+
+    def learn(self) -> None:
+        """Called after every batch of trials: the places at which the most was missing come first in the next."""
+        self._weight = FADING * self._weight + self._of_batch
+        self._of_batch = np.zeros(len(self.places))
+        self._order = np.argsort(-self._weight, kind="stable")
+
+    @cached_property
+    def _position_numbers(self) -> tuple[Rows, int]:
+        """(P,) the number of each place's position, over headings, and how many there are."""
+        if self.item.at_least == 1:
+            return np.arange(len(self.places)), len(self.places)
+        number = np.unique(self.places[:, :2], axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+        return number, int(number.max()) + 1
+
+    def _blocks(self, stops: bool) -> Iterator[Rows]:
+        """The numbers of places, more at a time after every look at what they say."""
+        done = 0
+        size = FIRST_PLACES if stops else len(self._order)
+        order = self._order
+        while done < len(order):
+            yield order[done : done + size]
+            done += size
+            size = done * (GROWTH - 1)
+
+    def _got(self, rig: TrialRig, rows: Rows, ways: Sequence[Sequence[int]]) -> Counts:
+        """(cases, n) the returns at some places in each case of failure, exact where fewer than are demanded."""
+        item = self.item
+        if item.cluster_m is not None:
+            scanners, poses = self._share.known.clustering(rig.at)
+            values = self._cluster_counts(self.places[rows], scanners, poses, item.returns, item.lost, threads=1)
+            return values.counts[:, 0].astype(np.int64)[None]
+        wanted = item.lost + (item.sensors or 1)
+        found = self._share.lowest(rig.at, item.returns, wanted, rows, threads=1).counts
+        return np.stack([reached(found[:, kept], 0, item.sensors) for kept in ways])
+
     def measured(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Measured:
         """What a rig reaches at the base grid's places, exact below the cap."""
         if self.item.cluster_m is not None:
@@ -303,7 +353,8 @@ class ObjectJudge:
                 known = Clustered(tuple(mounts), cap, self._clusters(self.places, mounts, cap, on_places))
                 self._latest = known
             return known.measured
-        lowest = self._kept.lowest(mounts, cap, self.item.wanted, on_places, self._which)
+        rig = self._share.known.rig(mounts)
+        lowest = self._share.lowest(rig, cap, self.item.wanted, on_places=on_places)
         return Measured(self.places, reached(lowest.counts, self.item.lost, self.item.sensors), lowest)
 
     def measured_at(self, places: Array, mounts: Sequence[Mount], cap: int) -> Measured:
@@ -322,23 +373,40 @@ class ObjectJudge:
         on_places: OnPlaces = no_progress,
         lost: int | None = None,
     ) -> Measured:
+        lost = self.item.lost if lost is None else lost
+        found = self._cluster_counts(places, scanners_of(mounts), poses_of(mounts), cap, lost, on_places)
+        return Measured(places, found.counts[:, 0].astype(np.int64), found)
+
+    def _cluster_counts(
+        self,
+        places: Array,
+        scanners: Sequence[core.returns.Scanner],
+        poses: Poses,
+        cap: int,
+        lost: int,
+        on_places: OnPlaces = no_progress,
+        threads: int | None = None,
+    ) -> Lowest:
+        """The largest clusters at places (P, 4), up to a cap."""
         item = self.item
         assert item.cluster_m
-        scanners = scanners_of(mounts)
-        lowest = count_clusters(
+        joint = math.prod(one.phases for one in scanners) <= JOINT_MAX
+        rule = ClusterRule(item.cluster_m, item.stand.ground_m + LOW_M)
+        sensors = item.sensors or 0
+        return count_clusters(
             places,
             item.target,
             scanners,
-            poses_of(mounts),
+            poses,
             self._obstacles,
-            ClusterRule(item.cluster_m, item.stand.ground_m + LOW_M),
-            item.lost if lost is None else lost,
-            item.sensors or 0,
-            math.prod(one.phases for one in scanners) <= JOINT_MAX,
+            rule,
+            lost,
+            sensors,
+            joint,
             cap,
             on_places,
+            threads,
         )
-        return Measured(places, lowest.counts[:, 0].astype(np.int64), lowest)
 
     def _phases_note(self, mounts: Sequence[Mount]) -> str:
         """How phases were combined for clusters."""
@@ -498,22 +566,6 @@ class ObjectJudge:
         cap = max(int(tried.values[centres].max()) + 1, self.item.returns)
         fresh = self.item.stand.around(tried.places[centres], step_m, step_rad, seen)
         return tried.joined(self.measured_at(fresh, mounts, cap)) if len(fresh) else tried
-
-
-def object_judges(
-    items: Sequence[ObjectRequirement], obstacles: Obstacles, robust: Robust | None = None
-) -> list[ObjectJudge]:
-    """Judges of requirements; those that count the same share what is known of sensors."""
-    out: dict[int, ObjectJudge] = {}
-    for first, item in enumerate(items):
-        if first in out:
-            continue
-        alike = [n for n in range(first, len(items)) if n == first or same_counts(item, items[n])]
-        places, numbers = united([items[n].stand.base for n in alike])
-        kept = KeptCounts(places, item.target, obstacles)
-        for n, which in zip(alike, numbers, strict=True):
-            out[n] = ObjectJudge(items[n], obstacles, robust, kept, which)
-    return [out[n] for n in range(len(items))]
 
 
 def positions(places: Array, values: Counts) -> tuple[NDArray[np.intp], Counts]:

@@ -6,7 +6,7 @@ every STEP_M from the outline on. Distances are those of the post's middle from 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 
 from lidarcfg import maths
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import MountMargins, with_one_off
-from lidarcfg.requirements.places import Zone
-from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensor_counts import OnPlaces, lowest_at, misplaced, no_progress
-from lidarcfg.requirements.target import box_target
+from lidarcfg.requirements.robustness import Robust, misplaced
+from lidarcfg.requirements.trial_rig import TrialRig
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
+from lidarcfg.returns.counts import OnPlaces, no_progress
+from lidarcfg.returns.known import Share, Standing, lowest_at, shares
+from lidarcfg.returns.places import Zone
+from lidarcfg.returns.target import Target, box_target
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.simulate.returns import Target
+from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.tracer import Obstacles
 
 AZIMUTHS = 360
@@ -211,89 +212,24 @@ class PostRequirement:
 
     def judged_by(self, seen: Flags) -> RequirementVerdict:
         """The verdict on a rig that sees some of the posts that count (P,)."""
-        return self._judged_by(self._visibility(seen))
+        return self.judged_as(self.visibility_by(seen))
 
-    def _visibility(self, seen: Flags) -> PostVisibility:
+    def visibility_by(self, seen: Flags) -> PostVisibility:
         """Where the post is seen, by flags of those that count (P,)."""
         flags = np.zeros(self.posts.counts.shape, np.bool_)
         flags[self.posts.counts] = seen
         return PostVisibility(self.height_m, self.limit_m, self.posts, flags)
 
-    def visibility(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> PostVisibility:
-        """Where a rig sees the post, also with sensors lost."""
-        return post_visibility(self.posts, self.height_m, mounts, self.obstacles, self.lost, self.limit_m, on_places)
-
-    @property
-    def work(self) -> int:
-        """The number of places at which rigs are measured, for progress."""
-        return int(self.posts.counts.sum()) * (1 + (self.robust.drawn if self.robust else 0))
-
-    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
-        """The verdict on a rig."""
-        counts = self._counts(mounts, max(self.lost, 1) + 1)
-        on_places(len(counts))
-        found = [self.judged_by((counts > 0).sum(axis=1) > self.lost)]
-        if self.robust and self.robust.drawn:
-            errors = self.robust.errors(len(mounts))
-            draws = [self._judged_by(self.visibility(misplaced(mounts, one), on_places)) for one in errors]
-            draws.sort(key=lambda one: one.relative_margin, reverse=True)
-            found.append(draws[self.robust.drawn - 1 - self.robust.spare])
-        worst = min(found, key=lambda one: one.relative_margin)
-        return replace(worst, breaking=self._breaking(counts, mounts))
-
-    def _counts(self, mounts: Sequence[Mount], wanted: int) -> Counts:
-        """(P, sensors) whether each sensor gets a return from the posts that count; below 0: `wanted` others do."""
-        return lowest_at(self.posts.counted, self.target, mounts, self.obstacles, 1, wanted).counts
-
-    def _breaking(self, counts: Counts, mounts: Sequence[Mount]) -> tuple[str, ...]:
-        """The sensors whose failure, each alone, breaks the requirement."""
-        if len(mounts) == 1:
-            return ()
-        number = (counts > 0).sum(axis=1)
-        return tuple(
-            mount.name
-            for mount, column in zip(mounts, counts.T, strict=True)
-            if not self.judged_by(number > (column > 0)).passed
-        )
-
-    def margins(self, mounts: Sequence[Mount]) -> tuple[MountMargins, ...]:
-        """What single failures and mounts that are a little off leave, by each of the two limits."""
-        sees = self._counts(mounts, len(mounts) + 1) > 0
-        number = sees.sum(axis=1)
-        whole = self._farthest_m(number > self.lost)
-        without = np.full((len(mounts), len(whole)), np.nan)
-        off = np.zeros((len(mounts), 6, len(whole)))
-        if len(mounts) > 1:
-            without[:] = [self._farthest_m(number > column) for column in sees.T]
-        for n, axis, moved in with_one_off(mounts):
-            others = number - sees[:, n]
-            seen = others > self.lost
-            unsure = np.flatnonzero(others == self.lost)  # where the sensor that is off decides
-            places = np.ascontiguousarray(self.posts.counted[unsure])
-            seen[unsure] = lowest_at(places, self.target, moved[n : n + 1], self.obstacles, 1, 1).counts[:, 0] > 0
-            off[n, axis] = np.maximum(off[n, axis], self._farthest_m(seen))
-        return tuple(
-            MountMargins(
-                what=f"{what.capitalize()} at the worst azimuth, in metres",
-                unit="m",
-                demanded=limit_m,
-                at_most=True,
-                whole=whole[k],
-                without=without[:, k],
-                off=off[..., k],
-            )
-            for k, (what, limit_m, *_) in enumerate(self._limits(self._visibility(number > self.lost)))
-        )
-
-    def _farthest_m(self, seen: Flags) -> Array:
+    def farthest_m(self, seen: Flags) -> Array:
         """(limits,) what each limit is for, at the worst azimuth, if some of the posts that count (P,) are seen."""
-        return np.array([np.nanmax(values_m) for _, _, values_m, _ in self._limits(self._visibility(seen))])
+        return np.array([np.nanmax(values_m) for _, _, values_m, _ in self.limits(self.visibility_by(seen))])
 
-    def _judged_by(self, seen: PostVisibility) -> RequirementVerdict:
-        found = [self._verdict(seen, *limit) for limit in self._limits(seen)]
+    def judged_as(self, seen: PostVisibility) -> RequirementVerdict:
+        """The verdict on a rig, by what it sees of the post."""
+        found = [self._verdict(seen, *limit) for limit in self.limits(seen)]
         return min(found, key=lambda one: one.relative_margin)
 
-    def _limits(self, seen: PostVisibility) -> list[tuple[str, float, Array, Array]]:
+    def limits(self, seen: PostVisibility) -> list[tuple[str, float, Array, Array]]:
         """What is limited, the limit, and (A,) each: the values by azimuth, and the distances at which they are."""
         out = []
         if self.first_seen_at_most_m is not None:
@@ -336,3 +272,93 @@ class PostRequirement:
             sampling=Sampling(int(self.posts.counts.sum()), (STEP_M, STEP_M), STEP_M, azimuths_deg=360.0 / AZIMUTHS),
             notes=tuple(notes),
         )
+
+
+class PostJudge:
+    """Judges rigs by one requirement of a post."""
+
+    is_slow = False
+
+    def __init__(self, item: PostRequirement, share: Share | None = None) -> None:
+        """`share`, if given: the posts that count, of which others know, too."""
+        self.item = item
+        self._share = share or shares([Standing(item.target, item.posts.counted)], item.obstacles)[0]
+
+    @property
+    def work(self) -> int:
+        """The number of places at which rigs are measured, for progress."""
+        return int(self.item.posts.counts.sum()) * (1 + (self.item.robust.drawn if self.item.robust else 0))
+
+    def visibility(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> PostVisibility:
+        """Where a rig sees the post, also with sensors lost."""
+        item = self.item
+        return post_visibility(item.posts, item.height_m, mounts, item.obstacles, item.lost, item.limit_m, on_places)
+
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
+        """The verdict on a rig."""
+        item = self.item
+        counts = self._counts(mounts, max(item.lost, 1) + 1)
+        on_places(len(counts))
+        found = [item.judged_by((counts > 0).sum(axis=1) > item.lost)]
+        if item.robust and item.robust.drawn:
+            errors = item.robust.errors(len(mounts))
+            draws = [item.judged_as(self.visibility(misplaced(mounts, one), on_places)) for one in errors]
+            draws.sort(key=lambda one: one.relative_margin, reverse=True)
+            found.append(draws[item.robust.drawn - 1 - item.robust.spare])
+        worst = min(found, key=lambda one: one.relative_margin)
+        return replace(worst, breaking=self._breaking(counts, mounts))
+
+    def _counts(self, mounts: Sequence[Mount], wanted: int) -> Counts:
+        """(P, sensors) whether each sensor gets a return from the posts that count; below 0: `wanted` others do."""
+        return self._share.lowest(self._share.known.rig(mounts), 1, wanted).counts
+
+    def _breaking(self, counts: Counts, mounts: Sequence[Mount]) -> tuple[str, ...]:
+        """The sensors whose failure, each alone, breaks the requirement."""
+        if len(mounts) == 1:
+            return ()
+        number = (counts > 0).sum(axis=1)
+        return tuple(
+            mount.name
+            for mount, column in zip(mounts, counts.T, strict=True)
+            if not self.item.judged_by(number > (column > 0)).passed
+        )
+
+    def margins(self, mounts: Sequence[Mount]) -> tuple[MountMargins, ...]:
+        """What single failures and mounts that are a little off leave, by each of the two limits."""
+        item = self.item
+        sees = self._counts(mounts, len(mounts) + 1) > 0
+        number = sees.sum(axis=1)
+        whole = item.farthest_m(number > item.lost)
+        without = np.full((len(mounts), len(whole)), np.nan)
+        off = np.zeros((len(mounts), 6, len(whole)))
+        if len(mounts) > 1:
+            without[:] = [item.farthest_m(number > column) for column in sees.T]
+        for n, axis, moved in with_one_off(mounts):
+            others = number - sees[:, n]
+            seen = others > item.lost
+            unsure = np.flatnonzero(others == item.lost)  # where the sensor that is off decides
+            places = np.ascontiguousarray(item.posts.counted[unsure])
+            seen[unsure] = lowest_at(places, item.target, moved[n : n + 1], item.obstacles, 1, 1).counts[:, 0] > 0
+            off[n, axis] = np.maximum(off[n, axis], item.farthest_m(seen))
+        return tuple(
+            MountMargins(
+                what=f"{what.capitalize()} at the worst azimuth, in metres",
+                unit="m",
+                demanded=limit_m,
+                at_most=True,
+                whole=whole[k],
+                without=without[:, k],
+                off=off[..., k],
+            )
+            for k, (what, limit_m, *_) in enumerate(item.limits(item.visibility_by(number > item.lost)))
+        )
+
+    def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:
+        """The shortfall of a search's trial; 0 before, as a bound."""
+        if stops:
+            yield 0.0
+        counts = self._share.lowest(rig.at, 1, self.item.lost + 1, threads=1).counts
+        yield self.item.judged_by((counts > 0).sum(axis=1) > self.item.lost).shortfall
+
+    def learn(self) -> None:
+        """Learns nothing."""

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.requirements.sensor_counts import OnPlaces, no_progress
 from lidarcfg.requirements.verdict import RequirementVerdict
+from lidarcfg.returns.counts import OnPlaces, no_progress
 from lidarcfg.sensors.rig import Mount
 
 

@@ -14,9 +14,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.requirements.braking import EMERGENCY
 from lidarcfg.requirements.file import HEADINGS_DEG, RequirementFile, RequirementsFile
-from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import ObjectRequirement
-from lidarcfg.requirements.places import Stand, Zone
 from lidarcfg.requirements.posts import LIMIT_M, PostPlaces, PostRequirement
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.robustness import Robust
@@ -25,7 +23,9 @@ from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
 from lidarcfg.requirements.scenario_run import NO_SPEEDS, RETURNS, Rule, approach_of
 from lidarcfg.requirements.shadow import HEIGHT_M, WITHIN_M, ShadowRequirement
 from lidarcfg.requirements.sight import Bounds
-from lidarcfg.requirements.target import target_of
+from lidarcfg.returns.places import Stand, Zone
+from lidarcfg.returns.target import target_of
+from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.tracer import Obstacles
 from lidarcfg.world.vehicle import Vehicle
 

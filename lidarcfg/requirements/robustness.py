@@ -6,6 +6,8 @@ by another about its own x, y and z axes. The draws are the same for every trial
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Annotated, Any
 
@@ -16,6 +18,7 @@ from pydantic import Field, model_validator
 from lidarcfg.config.models import Model, validation_error, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, angles, turned
+from lidarcfg.sensors.rig import Mount
 
 CASES_MAX = 1000  # rigs that may be left, and draws
 SAMPLES = 16  # unless the study says otherwise
@@ -104,3 +107,13 @@ def mounted(poses: Array, errors: Array) -> Array:
     else:
         out[..., 3:] = poses[..., 3:]
     return out
+
+
+def misplaced(mounts: Sequence[Mount], errors: Array) -> tuple[Mount, ...]:
+    """The mounts with errors (mounts, 6) added to their poses: metres and radians."""
+    poses = np.array([(*mount.position_m, *mount.rpy_rad) for mount in mounts])
+    off = mounted(poses, errors).tolist()
+    return tuple(
+        replace(mount, position_m=tuple(row[:3]), rpy_rad=tuple(row[3:]))
+        for mount, row in zip(mounts, off, strict=True)
+    )

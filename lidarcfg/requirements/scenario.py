@@ -21,9 +21,8 @@ from lidarcfg.config.models import validation_error as fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, shipped
 from lidarcfg.geometry import Array, pose, transform
-from lidarcfg.requirements.file import SPEED_MAX_KM_H, ObjectFile, ObjectOrName, Size, Speed
-from lidarcfg.requirements.target import shipped_objects, target_of
-from lidarcfg.simulate.returns import Target
+from lidarcfg.requirements.file import SPEED_MAX_KM_H, Speed
+from lidarcfg.returns.target import ObjectFile, ObjectOrName, Size, Target, shipped_objects, target_of
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.scene import Scene, build_scene
 from lidarcfg.world.scene_file import Box, Ground, MeshFile, SceneFile

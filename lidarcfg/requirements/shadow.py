@@ -1,6 +1,7 @@
 """The shadow: what the vehicle's bodies alone hide from all sensors beside it, whatever their beams."""
 
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -9,19 +10,21 @@ from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import MountMargins, with_one_off
 from lidarcfg.requirements.objects import cases
-from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensor_counts import OnPlaces, misplaced, no_progress
+from lidarcfg.requirements.robustness import Robust, misplaced
+from lidarcfg.requirements.trial_rig import TrialRig
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
+from lidarcfg.returns.counts import OnPlaces, no_progress
 from lidarcfg.sensors.rig import Mount
+from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.vehicle import Vehicle
 
 STEP_M = 0.2  # between the points that are looked at
 WITHIN_M = 0.0, 5.0  # of the body, unless the requirement says otherwise
 HEIGHT_M = 0.0, 2.0
 POINTS_MAX = 20_000_000
+KEPT_BYTES = 1 << 26  # of what is seen from sensors' latest places
 
 
 @dataclass(frozen=True)
@@ -163,3 +166,41 @@ class ShadowRequirement:
             sampling=Sampling(len(self.points_m), (STEP_M, STEP_M), STEP_M),
             notes=(f"of {whole_m3:.1f} m³ beside the body",),
         )
+
+
+class ShadowJudge:
+    """Judges rigs by one requirement of a shadow."""
+
+    is_slow = False
+
+    def __init__(self, item: ShadowRequirement) -> None:
+        self.item = item
+        self._seen: OrderedDict[bytes, NDArray[np.bool_]] = OrderedDict()  # (N,) from a place
+
+    @property
+    def work(self) -> int:
+        """The number of points that are looked at, for progress."""
+        return self.item.work
+
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
+        """The verdict on a rig."""
+        return self.item.judge(mounts, on_places)
+
+    def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:
+        """The shortfall of a search's trial; 0 before, as a bound."""
+        if stops:
+            yield 0.0
+        yield self.item.judged_by(np.stack([self._seen_from(at) for at in rig.at.t])).shortfall
+
+    def _seen_from(self, origin_m: Array) -> NDArray[np.bool_]:
+        key = origin_m.tobytes()
+        seen = self._seen.get(key)
+        if seen is None:
+            seen = self.item.seen_from(origin_m)
+            self._seen[key] = seen
+        return seen
+
+    def learn(self) -> None:
+        """Called after every batch of trials: forgets the places that were asked for first."""
+        while len(self._seen) * len(self.item.points_m) > KEPT_BYTES:
+            self._seen.popitem(last=False)

@@ -10,21 +10,22 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.requirements.judges import judges
 from lidarcfg.requirements.margins import MountMargins
-from lidarcfg.requirements.objects import CAP_MAX, ObjectJudge, ObjectRequirement, PlaceCounts, object_judges
-from lidarcfg.requirements.places import Zone
-from lidarcfg.requirements.posts import PostRequirement, PostVisibility
+from lidarcfg.requirements.objects import CAP_MAX, ObjectJudge, ObjectRequirement, PlaceCounts
+from lidarcfg.requirements.posts import PostJudge, PostRequirement, PostVisibility
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
 from lidarcfg.requirements.scenario_run import ScenarioResult
-from lidarcfg.requirements.sensor_counts import lowest_at
 from lidarcfg.requirements.shadow import STEP_M as SHADOW_STEP_M
-from lidarcfg.requirements.shadow import ShadowRequirement
+from lidarcfg.requirements.shadow import ShadowJudge, ShadowRequirement
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
+from lidarcfg.returns.beams import PassingBeams, passing_beams
+from lidarcfg.returns.known import lowest_at
+from lidarcfg.returns.places import Zone
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.simulate.beams import PassingBeams, passing_beams
+from lidarcfg.world.footprint import Footprint
 
 OnProgress = Callable[[float, str], None]
 
@@ -38,12 +39,7 @@ class Verifier:
 
     def __init__(self, requirements: Requirements) -> None:
         self.requirements = requirements
-        site = requirements.site
-        objects = [item for item in requirements.items if isinstance(item, ObjectRequirement)]
-        judges = iter(object_judges(objects, site.obstacles, requirements.robust))
-        self.judges = tuple(
-            next(judges) if isinstance(item, ObjectRequirement) else item for item in requirements.items
-        )
+        self.judges, _ = judges(requirements)
 
     def check(self, mounts: Sequence[Mount]) -> None:
         """Raises ConfigError if a requirement loses all of a rig's mounts, or needs a price that one has not."""
@@ -135,31 +131,32 @@ def evidence(verifier: Verifier, mounts: Sequence[Mount], found: Verdict) -> tup
     out = []
     for judge, one in zip(verifier.judges, found.requirements, strict=True):
         if isinstance(judge, ObjectJudge):
-            item = judge.item
+            stand = judge.item.stand
             out.append(
                 Evidence(
                     one,
                     body,
-                    zone=item.stand.zone,
+                    zone=stand.zone,
                     counts=judge.counts(mounts),
-                    views=_views(verifier, item, mounts, one),
+                    views=_views(verifier, judge.item, mounts, one),
                     margins=(judge.margins(mounts),),
                 )
             )
-        elif isinstance(judge, PostRequirement):
+        elif isinstance(judge, PostJudge):
             out.append(
                 Evidence(
                     one,
                     body,
                     posts=judge.visibility(mounts),
-                    views=_views(verifier, judge, mounts, one),
+                    views=_views(verifier, judge.item, mounts, one),
                     margins=judge.margins(mounts),
                 )
             )
-        elif isinstance(judge, ShadowRequirement):
-            out.append(Evidence(one, body, hidden=_hidden(judge, mounts), margins=(judge.margins(mounts),)))
-        elif isinstance(judge, ScenarioRequirement):
-            out.append(Evidence(one, body, scenario=judge.check(mounts).result))
+        elif isinstance(judge, ShadowJudge):
+            item = judge.item
+            out.append(Evidence(one, body, hidden=_hidden(item, mounts), margins=(item.margins(mounts),)))
+        elif isinstance(judge.item, ScenarioRequirement):
+            out.append(Evidence(one, body, scenario=judge.item.check(mounts).result))
         else:
             out.append(Evidence(one, body))
     return tuple(out)

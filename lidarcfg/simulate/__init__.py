@@ -2,8 +2,7 @@
 
 To read in this order: `tasks` splits a drive into firings, `simulator` traces the rays of each firing, `echoes` turns
 what they hit into echoes of a wide beam, with noise; `scans` gives the points. `lidarcfg.capture.export` encodes the
-same echoes as packets. `returns` counts the returns from an object at a place, without any scene, and `beams` says what
-each beam does there.
+same echoes as packets. `lidarcfg.returns` counts what an object alone returns, without any scene.
 """
 
 import lazy_loader

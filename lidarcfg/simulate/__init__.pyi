@@ -1,5 +1,3 @@
-from .returns import Scanner as Scanner
-from .returns import Target as Target
 from .scans import simulated_scans as simulated_scans
 from .simulator import Simulator as Simulator
 from .tasks import Drive as Drive

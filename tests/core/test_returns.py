@@ -92,50 +92,76 @@ def test_ranges_fields_of_view_and_what_stands_before():
     assert np.array_equal(counted(scanner(), target=around), counted(scanner()))
 
 
-def counter(enough, scanners=None, places=PLACES, ends=(4,)):
-    """Of the wall at places."""
-    return returns.ReturnCounter(scanners or [scanner()], TARGET, places, np.array(ends), obstacles(), enough)
+def known(scanners=None, places=PLACES, ends=(4,)):
+    """Of the wall at places; those between two ends are an object's."""
+    walls = [TARGET] * len(ends)
+    return returns.KnownReturns(scanners or [scanner()], walls, places, np.array(ends), obstacles())
 
 
-def test_a_counter_knows_where_an_object_is_missed():
+def test_known_returns_say_where_an_object_is_missed():
     (near, far, _, _), one = counted(scanner()), np.zeros(1, np.int64)
-    assert counter(int(near.min())).missed(one, R, T, 0, math.inf) == 1.0
-    assert counter(1000).missed(one, R, T, 0, math.inf) == 4.0
-    assert counter(0).missed(one, R, T, 0, math.inf) == 0.0
-    some = counter(int(far.max()), ends=(1, 1, 4))
-    assert some.missed(one, R, T, 1, math.inf) == 0.0
-    assert some.missed(one, R, T, 2, math.inf) == (far < far.max()).mean()
-    assert some.missed_among(one, R, T, 2, 3) == (far < far.max()).mean()
-    assert some.missed_among(one, R, T, 2, 0) == 0.0
-    for n in range(600):  # more poses than are kept
-        assert some.missed(one, R, T + n * 1e-9, 0, math.inf) == 0.0
-    two = counter(int(2 * far.max()), [scanner(), scanner(3)])
+    whole = known()
+    assert whole.missed(one, R, T, 0, int(near.min()), math.inf) == 1.0
+    assert whole.missed(one, R, T, 0, 1000, math.inf) == 4.0
+    assert whole.missed(one, R, T, 0, 0, math.inf) == 0.0
+    some = known(ends=(1, 1, 4))
+    enough = int(far.max())
+    assert some.missed(one, R, T, 1, enough, math.inf) == 0.0
+    assert some.missed(one, R, T, 2, enough, math.inf) == (far < enough).mean()
+    assert some.missed_among(one, R, T, 2, enough, 3) == (far < enough).mean()
+    assert some.missed_among(one, R, T, 2, enough, 0) == 0.0
+    for n in range(5000):  # more poses than are kept
+        assert some.missed(one, R, T + n * 1e-9, 0, enough, math.inf) == 0.0
+    two = known([scanner(), scanner(3)])
     both = np.arange(2), np.repeat(R, 2, axis=0), np.repeat(T, 2, axis=0)
-    assert 0.0 < two.missed(*both, 0, math.inf) <= 1.0
-    assert two.missed(both[0][1:], R, T, 0, math.inf) >= two.missed(*both, 0, math.inf)
+    twice = int(2 * far.max())
+    assert 0.0 < two.missed(*both, 0, twice, math.inf) <= 1.0
+    assert two.missed(both[0][1:], R, T, 0, twice, math.inf) >= two.missed(*both, 0, twice, math.inf)
+    same = np.zeros(2, np.int64)  # two sensors that fire alike
+    assert two.missed(same, *both[1:], 0, int(near.min()) * 2, math.inf) == 1.0
     assert two.traced > 0
-    known = 4 * (8 + 4 * 4)  # bytes at four places, in four phases
-    assert counter(8).memory_bytes == 256 * known
-    assert two.memory_bytes == 256 * (2 * known - 4 * 4)
-    many = np.tile(PLACES, (2**18, 1))
-    assert counter(8, places=many, ends=(2**20,)).memory_bytes == known * 2**18 * 5  # poses, in 128 MB
-    some = counter(8, [scanner()] * 9, places=many, ends=(2**20,))
-    assert some.memory_bytes == 2 * 9 * known * 2**18
 
 
-def test_threads_share_a_counter():
+def test_misses_are_the_weighted_mean_of_shares():
+    """Of a wall at one place, near; and of another at the three places left, of which it is seen at one by few returns."""
+    one = np.zeros(1, np.int64)
+    near, far, behind, beside = counted(scanner())
+    some = known(ends=(1, 4))
+    enough = int(far.max())
+    shares = [(near < enough).mean(), np.mean([(row < enough).mean() for row in (far, behind, beside)])]
+    assert some.misses(one, R, T, np.array([1.0, 1.0]), enough, math.inf) == np.mean(shares)
+    assert some.misses(one, R, T, np.array([1.0, 3.0]), enough, math.inf) == (shares[0] + 3 * shares[1]) / 4
+    assert 0.1 <= some.misses(one, R, T, np.array([1.0, 3.0]), enough, 0.1) <= (shares[0] + 3 * shares[1]) / 4
+    missed = np.empty(3)
+    some.probabilities(one, R, T, 1, np.array([2, 0, 1]), enough, missed)
+    assert missed.tolist() == [(row < enough).mean() for row in (beside, far, behind)]
+
+
+def test_what_is_known_takes_so_much_memory():
+    each = 8 + 4 * 4  # bytes at a place, in four phases
+    assert known().memory_bytes == 4096 * 4 * each
+    assert known([scanner(), scanner(3)]).memory_bytes == 2 * 4096 * 4 * each
+    many = np.tile(PLACES, (2**17, 1))
+    assert known(places=many, ends=(2**19,)).memory_bytes == 21 * 2**19 * each  # poses, in 256 MB
+    assert known([scanner()] * 9, places=many, ends=(2**19,)).memory_bytes == 16 * 9 * 2**19 * each
+
+
+def test_threads_share_what_is_known():
     rng = np.random.default_rng(2)
     one = np.zeros(1, np.int64)
     places = np.column_stack([rng.uniform(-20, 20, (60, 2)), np.zeros(60), rng.uniform(0, 7, 60)])
     poses = [T + 0.1 * n for n in range(5)]
-    shared = counter(8, places=places, ends=(60,))
+    shared = known(places=places, ends=(60,))
 
-    def missed(n, counter):
+    def missed(n, known):
         if n % 3 == 0:
-            counter.missed_among(one, R, poses[n % 5], 0, 30)
-        return counter.missed(one, R, poses[n % 5], 0, math.inf)
+            known.missed_among(one, R, poses[n % 5], 0, 8, 30)
+        if n % 7 == 0:
+            lowest = np.empty((60, 1), np.int32)
+            known.lowest(one, R, poses[n % 5], 0, np.arange(60), 20, 1, lowest, np.empty((60, 1), np.int8))
+        return known.missed(one, R, poses[n % 5], 0, 8, math.inf)
 
-    alone = [missed(n, counter(8, places=places, ends=(60,))) for n in range(5)]
+    alone = [missed(n, known(places=places, ends=(60,))) for n in range(5)]
     with ThreadPoolExecutor(4) as pool:
         assert list(pool.map(missed, range(200), [shared] * 200)) == alone * 40
     assert 0 < min(alone) < max(alone) < 60
@@ -177,9 +203,18 @@ def count_with(**changes):
     return lambda: returns.count_returns(**given | changes)
 
 
-def missed_with(sensors=(0,), R=R, t=T, group=0):
+def missed_with(scanners=(0,), R=R, t=T, object=0, enough=1):
     """A call of missed with some arguments changed."""
-    return lambda: counter(1).missed(np.array(sensors, np.int64), R, t, group, 1.0)
+    return lambda: known().missed(np.array(scanners, np.int64), R, t, object, enough, 1.0)
+
+
+def lowest_with(**changes):
+    """A call of lowest with some arguments changed."""
+    given = {
+        "scanners": np.zeros(1, np.int64), "R": R, "t": T, "object": 0, "which": np.arange(4), "cap": 5, "wanted": 1,
+        "counts": np.zeros((4, 1), np.int32), "phases": np.zeros((4, 1), np.int8),
+    }  # fmt: skip
+    return lambda: known().lowest(**given | changes)
 
 
 COUNTS = np.zeros((1, 2, 2), np.int32)
@@ -216,15 +251,19 @@ TWO = np.array([2, 2])
         (count_with(counts=np.zeros((3, 1, 4), np.int32)), "counts"),
         (count_with(counts=np.zeros((4, 1, 4))), "counts"),
         (count_with(obstacles=obstacles()._replace(origin_m=np.zeros(2))), "origin_m"),
-        (lambda: counter(-1), "enough"),
-        (lambda: counter(1, ends=(3,)), "group_ends"),
-        (lambda: counter(1, ends=()), "group_ends"),
-        (lambda: counter(1, ends=(5, 4)), "group_ends"),
-        (missed_with(sensors=(1,)), "sensors"),
-        (missed_with(sensors=(-1,)), "sensors"),
-        (missed_with((0, 0), np.repeat(R, 2, axis=0), np.repeat(T, 2, axis=0)), "sensors"),
+        (lambda: known(ends=(3,)), "ends"),
+        (lambda: known(ends=()), "ends"),
+        (lambda: known(ends=(5, 4)), "ends"),
+        (missed_with(scanners=(1,)), "scanners"),
+        (missed_with(scanners=(-1,)), "scanners"),
         (missed_with(R=np.zeros((2, 3, 3))), "R"),
-        (missed_with(group=1), "group"),
+        (missed_with(object=1), "object"),
+        (missed_with(enough=-1), "enough"),
+        (lambda: known().misses(np.zeros(1, np.int64), R, T, np.ones(2), 1, 1.0), "weights"),
+        (lowest_with(which=np.array([4])), "which"),
+        (lowest_with(cap=0), "cap"),
+        (lowest_with(counts=np.zeros((4, 2), np.int32)), "counts"),
+        (lowest_with(phases=np.zeros((3, 1), np.int8)), "phases"),
         (lambda: returns.detection_probabilities(COUNTS, TWO[:1], 1), "phases"),
         (lambda: returns.detection_probabilities(COUNTS, TWO + 1, 1), "phases"),
         (lambda: returns.detection_probabilities(COUNTS - 1, TWO, 1), "counts"),

@@ -12,6 +12,7 @@
 #include <functional>
 #include <limits>
 #include <numbers>
+#include <numeric>
 #include <random>
 #include <thread>
 #include <vector>
@@ -20,8 +21,8 @@
 #include "packets/block_decoder.h"
 #include "packets/velodyne.h"
 #include "placement/evaluator.h"
-#include "placement/return_counter.h"
 #include "placement/worst.h"
+#include "returns/known_returns.h"
 #include "simulate/trace.h"
 #include "world/tracer.h"
 #include "world/world.h"
@@ -267,8 +268,8 @@ void evaluate(const placement::Grid& grid, const placement::Obstacles& obstacles
                    [&](int) { return placement::WorstSubspaces(grid).max_vsr(placed.cones[0], placed.sight(0)); });
 }
 
-/// Threads share a counter of returns, and what each has found.
-void count_returns(const placement::Obstacles& obstacles) {
+/// Threads share what is known of returns.
+void know_returns(const placement::Obstacles& obstacles) {
   constexpr Index phases = 4;
   constexpr double step_rad = turn / 360 / phases;
   std::vector<double> cos_head, sin_head;
@@ -280,40 +281,48 @@ void count_returns(const placement::Obstacles& obstacles) {
   const std::vector<double> none(3);
   const std::vector<double> elevation{-0.17, 0, 0.17};
   const std::vector<double> start(9);
-  const placement::Scanner scanner({cos_head,
-                                    sin_head,
-                                    0.0,
-                                    step_rad,
-                                    phases,
-                                    none,
-                                    none,
-                                    none,
-                                    elevation,
-                                    {start.data(), 3, 3},
-                                    {0.5, 100.0},
-                                    {0.0, turn}});
-  const placement::TargetShape target{soup(40, 0.5), {-1, -1, -0.5}, {1, 1, 2.5}};
-  std::vector<placement::Place> places;
+  const returns::Scanner scanner({cos_head,
+                                  sin_head,
+                                  0.0,
+                                  step_rad,
+                                  phases,
+                                  none,
+                                  none,
+                                  none,
+                                  elevation,
+                                  {start.data(), 3, 3},
+                                  {0.5, 100.0},
+                                  {0.0, turn}});
+  const returns::TargetShape target{soup(40, 0.5), {-1, -1, -0.5}, {1, 1, 2.5}};
+  std::vector<returns::Place> places;
   for (int n = 0; n < 60; ++n) {
     places.push_back({{random(-20, 20), random(-20, 20), 0}, 1, 0});
   }
-  const std::vector<std::int64_t> sensors{0, 1};
-  const auto pose = [](double x) { return placement::SensorPose{{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}, {x, 0, 1}}; };
+  const std::vector<std::int64_t> scanners{0, 1};
+  const auto pose = [](double x) { return returns::SensorPose{{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}, {x, 0, 1}}; };
+  std::vector<std::int64_t> all(places.size());
+  std::iota(all.begin(), all.end(), std::int64_t{0});
   for (const std::int32_t enough : {1, 8, 30, 100, 300}) {
-    placement::ReturnCounter counter({scanner, scanner}, target, places, {60}, obstacles, enough);
+    returns::KnownReturns known({scanner, scanner}, {{target, places}}, obstacles);
     together<std::vector<double>>("missed", [&](int thread) {
       std::vector<double> out(5);
       for (int n = 0; n < 5; ++n) {
         const int number = (n + thread / 2) % 5;  // two threads at the same pose
-        const std::vector<placement::SensorPose> poses{pose(0.1 * number), pose(1 - 0.1 * number)};
+        const std::vector<returns::SensorPose> poses{pose(0.1 * number), pose(1 - 0.1 * number)};
+        const returns::RigAt rig{scanners, poses};
         if (thread % 2 != 0) {
-          counter.missed_among(sensors, poses, 0, 30);
+          known.missed_among(rig, 0, enough, 30);
+        } else {
+          std::vector<std::int32_t> counts(2 * all.size());
+          std::vector<std::int8_t> phase(2 * all.size());
+          known.lowest(rig, 0, all, enough, 2,
+                       {{counts.data(), std::ssize(all), 2}, {phase.data(), std::ssize(all), 2}});
         }
-        out[number] = counter.missed(sensors, poses, 0, inf);
+        out[number] = known.missed(rig, 0, enough, inf);
       }
       return out;
     });
-    require(counter.traced() > 0, "traced");
+    require(known.traced() > 0, "traced");
   }
 }
 
@@ -377,7 +386,7 @@ int main() {
   const placement::Grid grid = make_grid();
   evaluate(grid, obstacles, false);
   evaluate(grid, obstacles, true);
-  count_returns(obstacles);
+  know_returns(obstacles);
   decode();
   std::puts("every thread found the same");
 }

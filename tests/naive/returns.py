@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from lidarcfg.simulate import returns as placement
+from lidarcfg.returns import counts as placement
 
 
 def hit_m(origin, direction, corners):

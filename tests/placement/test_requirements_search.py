@@ -7,6 +7,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
+from lidarcfg.requirements.trials import RigTrials
 
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement import cheapest as cheapest_module
@@ -25,15 +26,15 @@ from lidarcfg.placement.requirements_search import (
 from lidarcfg.placement.search_run import INFEASIBLE
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.sweep import Processes
-from lidarcfg.requirements import sensor_counts
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
-from lidarcfg.requirements.sensor_counts import lowest_at
-from lidarcfg.requirements.target import box_target
-from lidarcfg.requirements.trials import RigTrials
 from lidarcfg.requirements.verify import Verifier
+from lidarcfg.returns import scanners as firing
+from lidarcfg.returns.counts import returns
+from lidarcfg.returns.known import lowest_at
+from lidarcfg.returns.scanners import PHASES
+from lidarcfg.returns.target import box_target
 from lidarcfg.sensors.firing import CycleBeams
-from lidarcfg.simulate.returns import PHASES, returns
 from tests.returns_cases import mount
 
 YARD = """
@@ -513,8 +514,8 @@ def test_no_sensor_gets_more_returns_than_the_most(model):
         at_m = np.array([0.0, 0.0, size_m[2] / 2]) + distance_m * way / np.linalg.norm(way)
         placed = mount(model, tuple(at_m.tolist()), rng.uniform(-180, 180, 3))
         target = box_target(tuple(size_m.tolist()))
-        scanners = sensor_counts.scanners_of([placed])
-        got = returns(np.zeros((1, 4)), target, scanners, sensor_counts.poses_of([placed])).counts.max()
+        fires = firing.scanners_of([placed])
+        got = returns(np.zeros((1, 4)), target, fires, firing.poses_of([placed])).counts.max()
         most = most_returns(beams, 0.5 * float(np.linalg.norm(size_m)), distance_m)
         assert got <= most
         closest = max(closest, got / most)

@@ -30,8 +30,8 @@ from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import with_solver
 from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.subspace import seen_cuboids, segment
+from lidarcfg.returns.counts import returns
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.returns import returns
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Trajectory, build_path, load_path
 from lidarcfg.world.tracer import NO_OBSTACLES, Tracer

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement, reached
-from lidarcfg.requirements.places import Stand, Zone
-from lidarcfg.requirements.sensor_counts import lowest_at
-from lidarcfg.requirements.target import box_target
+from lidarcfg.returns.known import lowest_at
+from lidarcfg.returns.places import Stand, Zone
+from lidarcfg.returns.target import box_target
+from lidarcfg.world.footprint import Footprint
 from tests.returns_cases import box, mount
 from tests.simulate.test_returns import obstacles
 

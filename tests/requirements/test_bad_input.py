@@ -28,8 +28,8 @@ def study(folder, item, vehicle=VEHICLE):
     ("item", "said"),
     [
         (
-            "object: dog, within_m: [1, 2], returns: 1",
-            "requirements[0].object: no object is called 'dog'; allowed: car,",
+            "object: horse, within_m: [1, 2], returns: 1",
+            "requirements[0].object: no object is called 'horse'; allowed: car,",
         ),
         (f"{CHILD}, within_m: [2, 1]", "requirements[0].within_m[1]: 1 is not above 2"),
         (
@@ -147,7 +147,7 @@ def test_a_file_of_requirements(tmp_path):
     path = study(tmp_path, "sensors_at_most: 3")
     path.write_text(path.read_text().replace("{name: a, sensors_at_most: 3}", "shared.yaml"))
     assert "2 requirements" in lidarcfg("validate", path).stdout
-    shared.write_text("requirements:\n  - {name: few, object: dog, within_m: [1, 2], returns: 3}\n")
+    shared.write_text("requirements:\n  - {name: few, object: horse, within_m: [1, 2], returns: 3}\n")
     assert f"{shared}:2:" in lidarcfg("validate", path, code=2).stderr
     path.write_text(path.read_text().replace("shared.yaml", "absent.yaml"))
     assert "absent.yaml: no such file" in lidarcfg("validate", path, code=2).stderr

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from lidarcfg.core import returns as core
-from lidarcfg.requirements.sensor_counts import poses_of, scanners_of
-from lidarcfg.simulate.returns import ClusterRule, Target, count_clusters, returns
+from lidarcfg.returns.counts import ClusterRule, count_clusters, returns
+from lidarcfg.returns.scanners import poses_of, scanners_of
+from lidarcfg.returns.target import Target
 from lidarcfg.world.meshes import join_meshes
 from lidarcfg.world.tracer import NO_OBSTACLES
 from tests.naive import requirements as naive

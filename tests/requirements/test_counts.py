@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from lidarcfg.requirements.objects import reached
-from lidarcfg.requirements.sensor_counts import KeptCounts, lowest_at, poses_of, scanners_of, united
-from lidarcfg.simulate.returns import Target, returns
+from lidarcfg.returns.counts import returns
+from lidarcfg.returns.known import KnownReturns, Standing, lowest_at, shares, united
+from lidarcfg.returns.scanners import poses_of, scanners_of
+from lidarcfg.returns.target import Target
 from tests.naive import requirements as naive
 from tests.returns_cases import box, mount
 from tests.simulate.test_returns import BODY, obstacles
@@ -41,39 +43,52 @@ def test_capped_counts_are_exact_below_the_cap(lost, sensors, cap):
         assert found.tolist() == exact
 
 
-def test_only_sensors_that_moved_are_cast(monkeypatch):
+def test_only_sensors_that_moved_are_cast():
     target = Target(box(0.4, 0.4, 1.1))
     where = places()
     around = obstacles(BODY)
-    kept = KeptCounts(where, target, around)
-    first = kept.lowest(MOUNTS, 1000, len(MOUNTS))
+    every = np.arange(len(where))
+    known = KnownReturns([Standing(target, where)], around, MOUNTS)
+    first = known.lowest(known.rig(MOUNTS), 0, every, 1000, len(MOUNTS))
+    traced = known.traced
+    assert known.lowest(known.rig(MOUNTS), 0, every, 1000, len(MOUNTS)).counts.tolist() == first.counts.tolist()
+    assert known.traced == traced == len(MOUNTS) * len(where)
     moved = (mount("vlp-16", (1, 0.2, 1.8), (5, 3, 20)), *MOUNTS[1:])
-    cast = []
-    from lidarcfg.requirements import sensor_counts
-
-    def counted(places, target, scanners, poses, obstacles, cap, wanted, lowest, *others):
-        cast.append((lowest.counts < 0).any(axis=0).tolist())
-        original(places, target, scanners, poses, obstacles, cap, wanted, lowest, *others)
-
-    original = sensor_counts.count_lowest
-    monkeypatch.setattr(sensor_counts, "count_lowest", counted)
-    second = kept.lowest(moved, 1000, len(MOUNTS))
-    assert cast == [[True, False, False, False]]
+    second = known.lowest(known.rig(moved), 0, every, 1000, len(MOUNTS))
+    assert known.traced == traced + len(where)
     assert second.counts[:, 1:].tolist() == first.counts[:, 1:].tolist()
     assert second.counts.tolist() == lowest_at(where, target, moved, around, 1000, len(MOUNTS)).counts.tolist()
-    more = kept.lowest(MOUNTS, 5000, len(MOUNTS))
+    more = known.lowest(known.rig(MOUNTS), 0, every, 5000, len(MOUNTS))
     assert more.counts.tolist() == lowest_at(where, target, MOUNTS, around, 5000, len(MOUNTS)).counts.tolist()
+
+
+def test_a_sensor_that_is_new_is_known_from_then_on():
+    target = Target(box(0.4, 0.4, 1.1))
+    where = places()
+    known = KnownReturns([Standing(target, where)], obstacles(BODY))
+    assert known.numbers(MOUNTS[:1]).tolist() == [0]
+    assert known.numbers([MOUNTS[2], MOUNTS[0], MOUNTS[2]]).tolist() == [1, 0, 1]
+    found = known.lowest(known.rig(MOUNTS), 0, np.arange(len(where)), 5000, len(MOUNTS))
+    alone = lowest_at(where, target, MOUNTS, obstacles(BODY), 5000, len(MOUNTS))
+    assert found.counts.tolist() == alone.counts.tolist()
 
 
 def test_counts_that_requirements_share_are_those_of_each_alone():
     target = Target(box(0.4, 0.4, 1.1))
+    other = Target(box(0.9, 0.4, 0.5))
     where = places()
     around = obstacles(BODY)
-    groups = where[:40], where[20:][::-1]
+    groups = where[:40], where[20:][::-1], where[5:30]
     every, numbers = united(groups)
     assert len(every) == len(where)
-    kept = KeptCounts(every, target, around)
-    for group, which in zip(groups, numbers, strict=True):
-        assert every[which].tolist() == group.tolist()
-        alone = lowest_at(np.ascontiguousarray(group), target, MOUNTS, around, 5000, len(MOUNTS))
-        assert kept.lowest(MOUNTS, 5000, len(MOUNTS), which=which).counts.tolist() == alone.counts.tolist()
+    assert [every[which].tolist() for which in numbers] == [group.tolist() for group in groups]
+    of = target, Target(box(0.4, 0.4, 1.1)), other
+    found = shares([Standing(*one) for one in zip(of, groups, strict=True)], around)
+    assert [one.number for one in found] == [0, 0, 1]  # objects of one shape are one
+    for one, group, share in zip(of, groups, found, strict=True):
+        alone = lowest_at(np.ascontiguousarray(group), one, MOUNTS, around, 5000, len(MOUNTS))
+        assert share.places.tolist() == group.tolist()
+        rig = share.known.rig(MOUNTS)
+        assert share.lowest(rig, 5000, len(MOUNTS)).counts.tolist() == alone.counts.tolist()
+        some = share.lowest(rig, 5000, len(MOUNTS), rows=np.array([3, 1]), threads=1)
+        assert some.counts.tolist() == alone.counts[[3, 1]].tolist()

@@ -11,14 +11,15 @@ from lidarcfg.placement.study import load_study
 from lidarcfg.report.evidence import draw_map
 from lidarcfg.report.html import FailCell
 from lidarcfg.report.verification import margins_table, verdict_table
-from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.objects import ObjectJudge, reached
-from lidarcfg.requirements.posts import PostPlaces, PostRequirement
-from lidarcfg.requirements.sensor_counts import lowest_at
+from lidarcfg.requirements.posts import PostJudge, PostPlaces, PostRequirement
+from lidarcfg.requirements.shadow import ShadowJudge
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verifier, verification
+from lidarcfg.returns.known import lowest_at
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.world.footprint import Footprint
 from tests.command_line import lidarcfg
 from tests.requirements.cases import ALL, AROUND, BODY, random_rig, requirement
 from tests.returns_cases import mount
@@ -160,6 +161,12 @@ def test_sensors_whose_loss_breaks_it_are_those_without_which_it_fails():
     assert found.breaking == tuple(mounts[n].name for n in range(3) if n not in passing)
 
 
+def judged(item, mounts):
+    """The verdict by a requirement of a post, or of the shadow."""
+    judge = PostJudge(item) if isinstance(item, PostRequirement) else ShadowJudge(item)
+    return judge.judge(mounts)
+
+
 @pytest.mark.parametrize("lost", [0, 1])
 def test_margins_of_posts_and_of_the_shadow_are_those_of_rigs_judged_anew(tmp_path, lost):
     """One limit at a time, without each sensor and with each coordinate of each mount off, either way."""
@@ -168,19 +175,19 @@ def test_margins_of_posts_and_of_the_shadow_are_those_of_rigs_judged_anew(tmp_pa
     mounts = load_rig(tmp_path / "rig.yaml").mounts
     post, shadow = load_study(tmp_path / "study.yaml").requirements.items
     for item in (post, shadow):
-        found = item.judge(mounts)
-        alone = [replace(item, lost=0).judge(without(mounts, n)) for n in range(3)]
+        found = judged(item, mounts)
+        alone = [judged(replace(item, lost=0), without(mounts, n)) for n in range(3)]
         assert found.breaking == tuple(mounts[n].name for n in range(3) if not alone[n].passed)
     limits = [replace(post, gap_at_most_m=None), replace(post, first_seen_at_most_m=None), shadow]
-    margins = [*post.margins(mounts), shadow.margins(mounts)]
+    margins = [*PostJudge(post).margins(mounts), shadow.margins(mounts)]
     for item, found in zip(limits, margins, strict=True):
-        assert found.whole == pytest.approx(item.judge(mounts).reached)
+        assert found.whole == pytest.approx(judged(item, mounts).reached)
         for n in range(3):
-            alone = replace(item, lost=0).judge(without(mounts, n))
+            alone = judged(replace(item, lost=0), without(mounts, n))
             assert found.without[n] == pytest.approx(alone.reached)
             assert found.meets(alone.reached) == alone.passed
             for axis in range(6):
-                worst = max(item.judge(moved(mounts, n, axis, way)).reached for way in (-1, 1))
+                worst = max(judged(item, moved(mounts, n, axis, way)).reached for way in (-1, 1))
                 assert found.off[n, axis] == pytest.approx(worst)
     assert len({value for found in margins for value in found.off.ravel().tolist()}) > 4
 
@@ -205,11 +212,12 @@ def test_what_is_never_seen_is_nothing_but_a_gap():
     posts = PostPlaces.around(Footprint.of(BODY), 0.0, (0.0, 2.0))
     item = PostRequirement("post", posts, 0.3, None, 0.3, 2.0, AROUND)
     high = (mount("vlp-16", (0.0, 0.0, 3.0), (0, 0, 0)),)
-    found = item.judge(high)
+    judge = PostJudge(item)
+    found = judge.judge(high)
     assert not found.passed
     assert np.isinf(found.reached)
     assert found.shortfall == 1
-    assert np.isinf(item.margins(high)[0].off).all()
+    assert np.isinf(judge.margins(high)[0].off).all()
 
 
 def test_hidden_heights_add_up_to_the_shadow(found):

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from lidarcfg.requirements.footprint import Footprint
-from lidarcfg.requirements.places import Stand, Zone
+from lidarcfg.returns.places import Stand, Zone
+from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.meshes import join_meshes
 from tests.naive import requirements as naive
 from tests.returns_cases import box

@@ -12,11 +12,11 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
 from lidarcfg.requirements import scenario_run
 from lidarcfg.requirements.braking import COMFORT, EMERGENCY, Braking
-from lidarcfg.requirements.file import ObjectFile
 from lidarcfg.requirements.objects import LOW_M
 from lidarcfg.requirements.scenario import Approach, Extent, ScenarioFile, load_scenario, presets
 from lidarcfg.requirements.scenario_run import Rule, ScenarioRun, check_scenario, drive_of, needed
 from lidarcfg.requirements.sight import earliest_sight, places_within
+from lidarcfg.returns.target import ObjectFile
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from lidarcfg.requirements.objects import ObjectJudge
-from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.sensor_counts import misplaced, scanners_of
-from lidarcfg.simulate.returns import PHASES
+from lidarcfg.requirements.robustness import Robust, misplaced
+from lidarcfg.returns.scanners import PHASES, scanners_of
 from tests.naive import requirements as naive
 from tests.requirements.cases import ALL, AROUND, BODY, brute_force, random_rig, requirement, verdict
 from tests.returns_cases import at_place, box, mount, revolution, simulated, tracer_of

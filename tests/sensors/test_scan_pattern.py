@@ -16,11 +16,14 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
 from lidarcfg.requirements.scenario import load_scenario
 from lidarcfg.requirements.scenario_run import Rule, check_scenario
+from lidarcfg.returns.beams import passing_beams
+from lidarcfg.returns.counts import returns
+from lidarcfg.returns.known import lowest_at
+from lidarcfg.returns.scanners import PHASES, compiled, scanner
+from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.sensors.scan_pattern import load_scan_pattern
 from lidarcfg.sensors.sensor import load_sensor
-from lidarcfg.simulate.beams import passing_beams
-from lidarcfg.simulate.returns import PHASES, Lowest, Target, compiled, count_lowest, returns, scanner
 from lidarcfg.world.tracer import NO_OBSTACLES
 from lidarcfg.world.vehicle import load_vehicle
 from tests.capture_fixtures import no_warning
@@ -185,8 +188,7 @@ def test_counts_are_those_of_open3d_and_of_plain_loops(tmp_path):
             assert beams.returns == found.counts[p, 0, phase]
     assert sum(seen) > 300
     assert np.ptp(found.counts[:, 0], axis=1).max() > 0
-    lowest = Lowest(np.full((len(places), 1), -1, np.int32), np.zeros((len(places), 1), np.int8))
-    count_lowest(places, TARGET, compiled([scanner(one)]), sensor_poses(lidars([one])), way, 1000, 1, lowest)
+    lowest = lowest_at(places, TARGET, [one], way, 1000, 1)
     np.testing.assert_array_equal(lowest.counts[:, 0], found.counts[:, 0].min(axis=1))
 
 

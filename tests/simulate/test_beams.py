@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from lidarcfg.packets.families import pattern
-from lidarcfg.simulate.beams import Outcome, passing_beams
-from lidarcfg.simulate.returns import Poses, Target, compiled, returns, scanner
+from lidarcfg.returns.beams import Outcome, passing_beams
+from lidarcfg.returns.counts import returns
+from lidarcfg.returns.scanners import Poses, compiled, scanner
+from lidarcfg.returns.target import Target
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box
 from tests.simulate.test_returns import BODY, MOUNTS, obstacles

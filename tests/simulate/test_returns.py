@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from lidarcfg import core
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement.cones import poses as sensor_poses
-from lidarcfg.simulate.returns import PHASES, Poses, Target, compiled, returns, scanner
+from lidarcfg.returns.counts import returns
+from lidarcfg.returns.scanners import PHASES, Poses, compiled, scanner
+from lidarcfg.returns.target import Target
 from lidarcfg.world.tracer import NO_OBSTACLES
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box, lidars, mount, obstacles, revolution, simulated, tracer_of
@@ -177,8 +179,8 @@ def test_ending_early_changes_nothing():
         missed = float(sum(1.0 - found.probability(enough)))
 
         def counted(most, enough=enough):
-            counter = core.returns.ReturnCounter(scanners, target.shape, where, np.array([60]), around, enough)
-            return counter.missed(np.arange(3), *at, 0, most)
+            known = core.returns.KnownReturns(scanners, [target.shape], where, np.array([60]), around)
+            return known.missed(np.arange(3), *at, 0, enough, most)
 
         assert counted(math.inf) == missed
         for most in (0.3 * missed, 0.99 * missed):
@@ -187,7 +189,7 @@ def test_ending_early_changes_nothing():
 
 
 @pytest.mark.parametrize("phases", [1, 2, 3, 4])
-def test_what_a_counter_keeps_changes_nothing(phases):
+def test_what_is_known_already_changes_nothing(phases):
     """A search's trials, of which each moves one sensor or none, by some of the sensors, beside plain counts of each."""
     rng = np.random.default_rng(8)
     mounts = MOUNTS[:4]
@@ -196,7 +198,8 @@ def test_what_a_counter_keeps_changes_nothing(phases):
     around = obstacles(BODY)
     scanners = compiled([scanner(one) for one in mounts], phases)
     at = sensor_poses(lidars(mounts))
-    counter = core.returns.ReturnCounter(scanners, target.shape, where, np.array([7, 7, 50]), around, 60)
+    ends = (0, 7, 7, 50)
+    known = core.returns.KnownReturns(scanners, [target.shape] * 3, where, np.array(ends[1:]), around)
     poses = [at]
     ended = 0
     for trial in range(40):
@@ -209,16 +212,16 @@ def test_what_a_counter_keeps_changes_nothing(phases):
         here = Poses(np.ascontiguousarray(at.R[some]), np.ascontiguousarray(at.t[some]))
         plain = naive.missed(where, target, [scanners[n] for n in some], here, around, 60)
         group = trial % 3
-        first, end = ((0, 7), (7, 7), (7, 50))[group]
+        first, end = ends[group : group + 2]
         expected = float(np.cumsum([0.0, *plain[first:end]])[-1])
         most = math.inf if trial % 2 else 0.8 * expected
-        among = counter.missed_among(some, *here, group, int(rng.integers(60)))
-        found = counter.missed(some, *here, group, most)
+        among = known.missed_among(some, *here, group, 60, int(rng.integers(60)))
+        found = known.missed(some, *here, group, 60, most)
         assert 0.0 <= among <= expected
         assert found == expected if most == math.inf else most <= found <= expected
         ended += found < expected
     assert ended
-    assert counter.traced < 40 * 4 * len(where) / 3
+    assert known.traced < 40 * 4 * len(where) / 3
 
 
 def test_threads_change_nothing():

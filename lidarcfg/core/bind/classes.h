@@ -13,12 +13,15 @@ class Decoder;
 
 namespace placement {
 class Grid;
-class ReturnCounter;
-class Scanner;
-struct TargetShape;
 class TrialEvaluator;
 class WorstSubspaces;
 }  // namespace placement
+
+namespace returns {
+class KnownReturns;
+class Scanner;
+struct TargetShape;
+}  // namespace returns
 
 namespace world {
 struct Bvh;
@@ -38,15 +41,15 @@ constexpr bool is_bound<packets::hesai::Decoder> = true;
 template <>
 constexpr bool is_bound<placement::Grid> = true;
 template <>
-constexpr bool is_bound<placement::ReturnCounter> = true;
-template <>
-constexpr bool is_bound<placement::Scanner> = true;
-template <>
-constexpr bool is_bound<placement::TargetShape> = true;
-template <>
 constexpr bool is_bound<placement::TrialEvaluator> = true;
 template <>
 constexpr bool is_bound<placement::WorstSubspaces> = true;
+template <>
+constexpr bool is_bound<returns::KnownReturns> = true;
+template <>
+constexpr bool is_bound<returns::Scanner> = true;
+template <>
+constexpr bool is_bound<returns::TargetShape> = true;
 template <>
 constexpr bool is_bound<world::Bvh> = true;
 template <>

@@ -5,19 +5,21 @@
 #include "bind/modules.h"
 #include "bind/sight.h"
 #include "maths.h"
-#include "placement/clusters.h"
-#include "placement/return_counter.h"
+#include "returns/clusters.h"
+#include "returns/known_returns.h"
 
 namespace lidarcfg::bind {
 namespace {
 
-using placement::Obstacles;
-using placement::Place;
-using placement::ReturnCounter;
-using placement::Scanner;
-using placement::ScannerColumns;
-using placement::SensorPose;
-using placement::TargetShape;
+using returns::KnownReturns;
+using returns::Place;
+using returns::RigAt;
+using returns::Scanner;
+using returns::ScannerColumns;
+using returns::SensorPose;
+using returns::Standing;
+using returns::TargetShape;
+using world::Obstacles;
 using Scanners = std::vector<const Scanner*>;
 
 void require_finite(View<const double> values, const char* message) {
@@ -80,16 +82,28 @@ std::vector<SensorPose> poses_of(Index sensors, Tables<const double> R, Rows<con
   return out;
 }
 
-void check_sensors(const ReturnCounter& counter, View<const std::int64_t> sensors) {
-  for (std::size_t n = 0; n < sensors.size(); ++n) {
-    require(0 <= sensors[n] && sensors[n] < counter.sensors(), "sensors: no number of a scanner");
-    require(n == 0 || sensors[n - 1] < sensors[n], "sensors: not ascending");
+/// The rig of a call, whose arguments are checked.
+class CheckedRig {
+ public:
+  CheckedRig(const KnownReturns& known, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t)
+      : scanners_(scanners), poses_(poses_of(std::ssize(scanners), R, t)) {
+    for (const std::int64_t one : scanners) {
+      require(0 <= one && one < known.scanners(), "scanners: no number of a scanner");
+    }
   }
+
+  RigAt at() const { return {scanners_, poses_}; }
+
+ private:
+  View<const std::int64_t> scanners_;
+  std::vector<SensorPose> poses_;
+};
+
+void check_object(const KnownReturns& known, Index object) {
+  require(0 <= object && object < known.objects(), "object: no number of an object");
 }
 
-void check_group(const ReturnCounter& counter, Index group) {
-  require(0 <= group && group < counter.groups(), "group: no number of a group");
-}
+void check_enough(std::int32_t enough) { require(enough >= 0 && enough < 1 << 24, "enough: not from 0 to 2^24"); }
 
 void check_places(View<const std::int64_t> which, Index places) {
   for (const std::int64_t place : which) {
@@ -120,55 +134,105 @@ void bind_shapes(nb::module_& module) {
       "Its hierarchy and the corners of its bounding box.", "bvh", "low_m", "high_m");
 }
 
-void bind_counter(nb::module_& module) {
-  nb::class_<ReturnCounter> counter(module, "ReturnCounter",
-                                    "In how many places an object is missed, trial after trial; threads share it.");
-  init(
-      counter,
-      [](Scanners scanners, const TargetShape& target, Rows<const double> places, View<const std::int64_t> group_ends,
-         const Obstacles& obstacles, std::int32_t enough) {
-        require(!group_ends.empty() && group_ends.back() == places.rows(), "group_ends: not up to the last place");
-        for (std::size_t n = 0; n < group_ends.size(); ++n) {
-          require(group_ends[n] >= (n ? group_ends[n - 1] : 0), "group_ends: not ascending");
-        }
-        require(enough >= 0 && enough < 1 << 24, "enough: not from 0 to 2^24");
-        std::vector<Scanner> copies;
-        for (const Scanner* one : scanners) {
-          copies.push_back(*one);
-        }
-        return ReturnCounter(std::move(copies), target, places_of(places), {group_ends.begin(), group_ends.end()},
-                             obstacles, enough);
-      },
-      "For scanners and an object at places.", "scanners", "target", "places", "group_ends", "obstacles", "enough");
+KnownReturns make_known(Scanners scanners, std::vector<const TargetShape*> objects, Rows<const double> places,
+                        View<const std::int64_t> ends, const Obstacles& obstacles) {
+  require(ends.size() == objects.size() && !ends.empty(), "ends: one for each object");
+  require(ends.back() == places.rows(), "ends: not up to the last place");
+  const std::vector<Place> all = places_of(places);
+  std::vector<Standing> standing;
+  std::int64_t first = 0;
+  for (std::size_t n = 0; n < objects.size(); ++n) {
+    require(ends[n] >= first, "ends: not ascending");
+    standing.push_back({*objects[n], {all.begin() + first, all.begin() + ends[n]}});
+    first = ends[n];
+  }
+  std::vector<Scanner> copies;
+  for (const Scanner* one : scanners) {
+    require(one->phases() < 128, "scanners: too many phases");
+    copies.push_back(*one);
+  }
+  return KnownReturns(std::move(copies), std::move(standing), obstacles);
+}
+
+void bind_known(nb::module_& module) {
+  nb::class_<KnownReturns> known(module, "KnownReturns",
+                                 "The returns from objects at their places, of sensors at poses, rig after rig.");
+  init(known, make_known, "For scanners, and objects whose places end one after the other.", "scanners", "objects",
+       "places", "ends", "obstacles");
   def(
-      counter, "missed",
-      [](ReturnCounter& self, View<const std::int64_t> sensors, Tables<const double> R, Rows<const double> t,
-         Index group, double most) {
-        check_sensors(self, sensors);
-        check_group(self, group);
-        return self.missed(sensors, poses_of(std::ssize(sensors), R, t), group, most);
+      known, "misses",
+      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
+         View<const double> weights, std::int32_t enough, double most) {
+        const CheckedRig rig(self, scanners, R, t);
+        require(std::ssize(weights) == self.objects(), "weights: one for each object");
+        check_enough(enough);
+        return self.misses(rig.at(), weights, enough, most);
       },
-      "In how many places of a group the object is missed.", "sensors", "R", "t", "group", "most");
+      "The weighted mean over objects of the share of places with too few returns.", "scanners", "R", "t", "weights",
+      "enough", "most");
   def(
-      counter, "missed_among",
-      [](ReturnCounter& self, View<const std::int64_t> sensors, Tables<const double> R, Rows<const double> t,
-         Index group, Index count) {
-        check_sensors(self, sensors);
-        check_group(self, group);
+      known, "missed",
+      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
+         Index object, std::int32_t enough, double most) {
+        const CheckedRig rig(self, scanners, R, t);
+        check_object(self, object);
+        check_enough(enough);
+        return self.missed(rig.at(), object, enough, most);
+      },
+      "In how many places an object is missed.", "scanners", "R", "t", "object", "enough", "most");
+  def(
+      known, "missed_among",
+      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
+         Index object, std::int32_t enough, Index count) {
+        const CheckedRig rig(self, scanners, R, t);
+        check_object(self, object);
+        check_enough(enough);
         require(0 <= count, "count: below 0");
-        return self.missed_among(sensors, poses_of(std::ssize(sensors), R, t), group, count);
+        return self.missed_among(rig.at(), object, enough, count);
       },
-      "In how many of those places of a group that are the likeliest to be missed the object is.", "sensors", "R", "t",
-      "group", "count");
-  counter.def_prop_ro("memory_bytes", &ReturnCounter::memory_bytes);
-  counter.def_prop_ro("traced", &ReturnCounter::traced);
+      "In how many of those places that are the likeliest to be missed an object is.", "scanners", "R", "t", "object",
+      "enough", "count");
+  def(
+      known, "probabilities",
+      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
+         Index object, View<const std::int64_t> which, std::int32_t enough, View<double> missed) {
+        const CheckedRig rig(self, scanners, R, t);
+        check_object(self, object);
+        check_places(which, self.places(object));
+        check_enough(enough);
+        require(missed.size() == which.size(), "missed: one for each place");
+        self.probabilities(rig.at(), object, which, enough, missed);
+      },
+      "How likely an object is missed at some of its places.", "scanners", "R", "t", "object", "which", "enough",
+      "missed");
+  def(
+      known, "lowest",
+      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
+         Index object, View<const std::int64_t> which, std::int32_t cap, std::int64_t wanted, Rows<std::int32_t> counts,
+         Rows<std::int8_t> phases) {
+        const CheckedRig rig(self, scanners, R, t);
+        check_object(self, object);
+        check_places(which, self.places(object));
+        const auto places = static_cast<Index>(which.size());
+        const auto sensors = static_cast<Index>(scanners.size());
+        require(counts.rows() == places && counts.columns() == sensors,
+                "counts: a row for each place, a column for each sensor");
+        require(phases.rows() == places && phases.columns() == sensors,
+                "phases: a row for each place, a column for each sensor");
+        require(cap >= 1 && cap < 1 << 24, "cap: not from 1 to 2^24");
+        self.lowest(rig.at(), object, which, cap, wanted, {counts, phases});
+      },
+      "Count each sensor's returns in its worst phase, up to a cap.", "scanners", "R", "t", "object", "which", "cap",
+      "wanted", "counts", "phases");
+  known.def_prop_ro("memory_bytes", &KnownReturns::memory_bytes);
+  known.def_prop_ro("traced", &KnownReturns::traced);
 }
 
 }  // namespace
 
 void bind_returns(nb::module_& module) {
   bind_shapes(module);
-  bind_counter(module);
+  bind_known(module);
   def(
       module, "count_returns",
       [](Rows<const double> places, View<const std::int64_t> which, Scanners scanners, Tables<const double> R,
@@ -180,26 +244,10 @@ void bind_returns(nb::module_& module) {
           require(one->phases() <= counts.columns(), "counts: a column for each phase");
         }
         check_places(which, places.rows());
-        placement::count_returns(places_of(places), which, scanners, poses, target, obstacles, counts);
+        returns::count_returns(places_of(places), which, scanners, poses, target, obstacles, counts);
       },
       "Count the returns from an object at some of its places.", "places", "which", "scanners", "R", "t", "target",
       "obstacles", "counts");
-  def(
-      module, "count_lowest",
-      [](Rows<const double> places, View<const std::int64_t> which, Scanners scanners, Tables<const double> R,
-         Rows<const double> t, const TargetShape& target, const Obstacles& obstacles, std::int32_t cap,
-         std::int64_t wanted, Rows<std::int32_t> counts, Rows<std::int8_t> phases) {
-        const std::vector<SensorPose> poses = poses_of(std::ssize(scanners), R, t);
-        check_places(which, places.rows());
-        check_table(counts, places.rows(), scanners, "counts: a row for each place, a column for each scanner");
-        check_table(phases, places.rows(), scanners, "phases: a row for each place, a column for each scanner");
-        check_phases(scanners);
-        require(cap >= 1 && cap < 1 << 24, "cap: not from 1 to 2^24");
-        placement::count_lowest(places_of(places), which, scanners, poses, target, obstacles, cap, wanted,
-                                {counts, phases});
-      },
-      "Count each sensor's returns in its worst phase, up to a cap.", "places", "which", "scanners", "R", "t", "target",
-      "obstacles", "cap", "wanted", "counts", "phases");
   def(
       module, "count_clusters",
       [](Rows<const double> places, View<const std::int64_t> which, Scanners scanners, Tables<const double> R,
@@ -214,8 +262,8 @@ void bind_returns(nb::module_& module) {
         require(tolerance_m > 0, "tolerance_m: not above 0");
         require(0 <= lost && lost < std::ssize(scanners), "lost: not below the number of scanners");
         require(0 <= sensors, "sensors: below 0");
-        placement::count_clusters(places_of(places), which, scanners, poses, target, obstacles, {tolerance_m, above_m},
-                                  {lost, sensors, joint, cap}, counts, phases);
+        returns::count_clusters(places_of(places), which, scanners, poses, target, obstacles, {tolerance_m, above_m},
+                                {lost, sensors, joint, cap}, counts, phases);
       },
       "The points of the largest cluster of returns, in the worst case.", "places", "which", "scanners", "R", "t",
       "target", "obstacles", "tolerance_m", "above_m", "lost", "sensors", "joint", "cap", "counts", "phases");
@@ -224,7 +272,7 @@ void bind_returns(nb::module_& module) {
       [](Rows<const double> points, double tolerance_m, double above_m) {
         require(points.columns() == 3, "points: three columns");
         require(tolerance_m > 0, "tolerance_m: not above 0");
-        placement::Clusters clusters({tolerance_m, above_m});
+        returns::Clusters clusters({tolerance_m, above_m});
         std::vector<Vec3> all;
         for (Index n = 0; n < points.rows(); ++n) {
           all.push_back({points(n, 0), points(n, 1), points(n, 2)});
@@ -244,7 +292,7 @@ void bind_returns(nb::module_& module) {
         for (Index n = 0; n < counts.size(); ++n) {
           require(counts.data()[n] >= 0, "counts: below 0");
         }
-        return placement::detection_probabilities(counts, phases, enough);
+        return returns::detection_probabilities(counts, phases, enough);
       },
       "The probability of enough returns at each place.", "counts", "phases", "enough");
 }

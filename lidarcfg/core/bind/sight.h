@@ -7,8 +7,8 @@
 namespace lidarcfg::bind {
 
 template <>
-struct Fields<placement::Obstacles> {
-  using O = placement::Obstacles;
+struct Fields<world::Obstacles> {
+  using O = world::Obstacles;
   static constexpr auto members = fields(field("tree", &O::tree), field("boxes", &O::boxes),
                                          field("origin_m", &O::origin_m), field("ground_m", &O::ground_m));
 };
@@ -19,7 +19,7 @@ struct Fields<placement::Sight> {
   static constexpr auto members = fields(field("limits", &S::limits), field("obstacles", &S::obstacles));
 };
 
-inline void check_obstacles(const placement::Obstacles& obstacles, const char* message) {
+inline void check_obstacles(const world::Obstacles& obstacles, const char* message) {
   const Index boxes = obstacles.boxes.columns();
   require(obstacles.boxes.rows() == 6 && (boxes == 0 || boxes == world::shadow_boxes), message);
 }

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "views.h"
+#include "world/obstacles.h"
 #include "world/shadow.h"
 
 namespace lidarcfg::placement {
@@ -15,13 +16,7 @@ constexpr Index limit_columns = 9;
 /// What `Sight::limits` says in its last column of a field of view: all around; up to half a turn; more.
 enum class FieldOfView { any = 0, within = 1, beyond = 2 };
 
-/// What blocks beams, relative to a point.
-struct Obstacles {
-  const world::Bvh* tree;
-  Rows<const double> boxes;  // (6, B) that hold its shapes, see world::boxes_of
-  Vec3 origin_m;             // the point, in the vehicle frame
-  double ground_m;           // height of the ground in the vehicle frame; inf: none
-};
+using world::Obstacles;
 
 /// What LiDARs at known poses may see; no rows of limits: everything.
 struct Sight {

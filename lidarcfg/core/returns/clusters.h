@@ -3,9 +3,9 @@
 
 #include <vector>
 
-#include "placement/return_counts.h"
+#include "returns/counts.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::returns {
 
 /// What makes a cluster an object.
 struct ClusterRule {
@@ -47,4 +47,4 @@ void count_clusters(View<const Place> places, View<const std::int64_t> which, Vi
                     const ClusterRule& rule, const ClusterCase& wanted, View<std::int32_t> counts,
                     Rows<std::int8_t> phases);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::returns

@@ -3,11 +3,13 @@
 
 #include <vector>
 
-#include "placement/scanner.h"
-#include "placement/visibility.h"
+#include "returns/scanner.h"
+#include "world/obstacles.h"
 #include "world/packet.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::returns {
+
+using world::Obstacles;
 
 /// Traces aimed beams. Not for several threads at once.
 class ReturnTracer {
@@ -58,22 +60,12 @@ void count_returns(View<const Place> places, View<const std::int64_t> which, Vie
                    View<const SensorPose> poses, const TargetShape& target, const Obstacles& obstacles,
                    const Tables<std::int32_t>& counts);
 
-/// Each sensor's returns in its worst phase, as far as they are needed, up to a cap.
-struct LowestCounts {
-  Rows<std::int32_t> counts;  // (places, sensors) at most `cap`; below 0: unknown
-  Rows<std::int8_t> phases;   // (places, sensors) the phase, where there are fewer than `cap`
-};
-
-/// Write those that are unknown at some places, until `wanted` sensors have `cap`. The nearest sensors come first, but
-/// last those that did not have it at the place before, if that is near.
-void count_lowest(View<const Place> places, View<const std::int64_t> which, View<const Scanner* const> scanners,
-                  View<const SensorPose> poses, const TargetShape& target, const Obstacles& obstacles, std::int32_t cap,
-                  Index wanted, const LowestCounts& lowest);
-
 /// The probability of `enough` returns in all, where each sensor is in any of its phases, whatever the others'.
 class DetectionProbability {
  public:
   explicit DetectionProbability(Index enough) : chance_(enough + 1) {}
+
+  Index enough() const { return std::ssize(chance_) - 1; }
 
   /// Of sensors' returns, by phase.
   double of(View<const View<const std::int32_t>> counts);
@@ -86,4 +78,4 @@ class DetectionProbability {
 std::vector<double> detection_probabilities(const Tables<const std::int32_t>& counts, View<const std::int64_t> phases,
                                             Index enough);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::returns

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.core import world
 from lidarcfg.geometry import Array, inverse, transform
+from lidarcfg.returns.scanners import PHASES, scanner
+from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.simulate.returns import PHASES, Target, scanner
 from lidarcfg.world.tracer import NO_SLOT, Obstacles
 
 MARGIN_RAD = math.radians(4)  # around the object, at least; beams within it are kept

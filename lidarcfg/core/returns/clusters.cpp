@@ -1,10 +1,10 @@
-#include "placement/clusters.h"
+#include "returns/clusters.h"
 
 #include <algorithm>
 #include <memory>
 #include <numeric>
 
-namespace lidarcfg::placement {
+namespace lidarcfg::returns {
 namespace {
 
 /// The returns of all sensors at a place, by phase.
@@ -172,4 +172,4 @@ void count_clusters(View<const Place> places, View<const std::int64_t> which, Vi
   }
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::returns

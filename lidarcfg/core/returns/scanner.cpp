@@ -1,4 +1,4 @@
-#include "placement/scanner.h"
+#include "returns/scanner.h"
 
 #include <algorithm>
 #include <cmath>
@@ -7,7 +7,7 @@
 
 #include "maths.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::returns {
 namespace {
 
 constexpr double turn = 2 * std::numbers::pi;
@@ -316,4 +316,4 @@ Vec3 AimedBeams::direction_in_vehicle(const Vec3& direction) const {
   return {c * direction[0] + -s * direction[1], s * direction[0] + c * direction[1], direction[2]};
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::returns

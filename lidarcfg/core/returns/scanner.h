@@ -10,7 +10,7 @@
 #include "views.h"
 #include "world/bvh.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::returns {
 
 using Matrix3 = std::array<Vec3, 3>;  // rows
 
@@ -153,4 +153,4 @@ class AimedBeams {
 /// Add `times` how many of some heads are of each phase to counts (phases,).
 void add_by_phase(const AimedBeams::Heads& heads, std::int32_t times, View<std::int32_t> counts);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::returns

@@ -1,23 +1,16 @@
-#include "placement/return_counts.h"
+#include "returns/counts.h"
 
 #include <algorithm>
 #include <cmath>
 #include <memory>
-#include <tuple>
 
-namespace lidarcfg::placement {
+namespace lidarcfg::returns {
 namespace {
 
 constexpr double beyond_m = 1.0;  // beyond the greatest range nothing is a return; rays are traced this much farther
-constexpr double near_m = 1.0;    // of a place, sensors are likely to see as much
 constexpr int stride = world::packet_size;
 
 std::int32_t least_of(View<const std::int32_t> counts) { return *std::min_element(counts.begin(), counts.end()); }
-
-bool are_near(const Place& one, const Place& other) {
-  return std::abs(one.position_m[0] - other.position_m[0]) <= near_m &&
-         std::abs(one.position_m[1] - other.position_m[1]) <= near_m;
-}
 
 std::int32_t most_of(View<const std::int32_t> counts) { return *std::max_element(counts.begin(), counts.end()); }
 
@@ -161,49 +154,8 @@ void count_returns(View<const Place> places, View<const std::int64_t> which, Vie
   }
 }
 
-void count_lowest(View<const Place> places, View<const std::int64_t> which, View<const Scanner* const> scanners,
-                  View<const SensorPose> poses, const TargetShape& target, const Obstacles& obstacles, std::int32_t cap,
-                  Index wanted, const LowestCounts& lowest) {
-  const auto tracer = std::make_unique<ReturnTracer>();
-  AimedBeams beams;
-  std::vector<std::int32_t> by_phase;
-  std::vector<bool> failed(scanners.size());  // to have the cap where they were counted last, near the place
-  const Place* before = nullptr;
-  std::vector<std::tuple<bool, double, Index>> order;
-  for (const std::int64_t place : which) {
-    if (before && !are_near(*before, places[place])) {
-      std::fill(failed.begin(), failed.end(), false);
-    }
-    before = &places[place];
-    const View<std::int32_t> counts = lowest.counts[place];
-    Index enough = std::count_if(counts.begin(), counts.end(), [&](std::int32_t one) { return one >= cap; });
-    order.clear();
-    for (Index s = 0; s < std::ssize(scanners); ++s) {
-      if (counts[s] < 0) {
-        const double x = poses[s].t[0] - places[place].position_m[0];
-        const double y = poses[s].t[1] - places[place].position_m[1];
-        order.emplace_back(failed[s], x * x + y * y, s);
-      }
-    }
-    std::sort(order.begin(), order.end());
-    for (const auto& [late, distance, s] : order) {
-      if (enough >= wanted) {
-        break;
-      }
-      beams.aim(*scanners[s], poses[s], target, places[place]);
-      by_phase.assign(scanners[s]->phases(), 0);
-      tracer->count_until(beams, obstacles, cap, 0, by_phase);
-      const auto least = std::min_element(by_phase.begin(), by_phase.end());
-      counts[s] = std::min(*least, cap);
-      lowest.phases(place, s) = static_cast<std::int8_t>(least - by_phase.begin());
-      failed[s] = counts[s] < cap;
-      enough += counts[s] == cap;
-    }
-  }
-}
-
 double DetectionProbability::of(View<const View<const std::int32_t>> counts) {
-  const Index enough = std::ssize(chance_) - 1;
+  const Index enough = this->enough();
   Index least = 0;
   Index most = 0;
   for (const View<const std::int32_t> by_phase : counts) {
@@ -244,4 +196,4 @@ std::vector<double> detection_probabilities(const Tables<const std::int32_t>& co
   return out;
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::returns

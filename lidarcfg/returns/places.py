@@ -4,15 +4,19 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from lidarcfg import maths
+from lidarcfg.config.models import validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.requirements.footprint import Footprint
+from lidarcfg.sensors.rig import Distance
+from lidarcfg.world.footprint import Footprint
 
 NEAR_M = 5.0  # from the body: as far out places lie at most half the object's least width apart
 STEP_M = 0.5  # between places farther out, unless the requirement says otherwise; or half the width if that is more
@@ -28,6 +32,26 @@ SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 FIT_M = 1e-9  # by which an object may reach over the zone's side, for rounding
 
 Flags = NDArray[np.bool_]
+
+
+def ascending(value: tuple[float, float]) -> tuple[float, float]:
+    """A range whose end is above its beginning. Raises a fault otherwise."""
+    if not value[0] < value[1]:
+        raise validation_error(f"{value[1]:g} is not above {value[0]:g}", 1)
+    return value
+
+
+def _at_most_a_turn(value: tuple[float, float]) -> tuple[float, float]:
+    first, last = value
+    if not 0 < last - first <= 360:
+        what = f"{last:g} is not above {first:g} by 360 at most; give from and to, counter-clockwise from ahead"
+        raise validation_error(f"{what}, such as [-45, 45] or [135, 225]", 1)
+    return value
+
+
+Heading = Annotated[float, Field(ge=-360, le=360)]  # degrees
+Distances = Annotated[tuple[Distance, Distance], AfterValidator(ascending)]  # least, greatest
+Sector = Annotated[tuple[Heading, Heading], AfterValidator(_at_most_a_turn)]  # from, to, counter-clockwise from ahead
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,11 @@
+"""What sensors at poses get from an object at places: the one engine that counts returns.
+
+To read in this order: `target` is an object that should be seen, `places` says where it may stand, `scanners` how a
+sensor fires in a revolution. `counts` counts the returns, by phase or by cluster; `known` keeps what is known of
+sensors at poses, rig after rig, for searches and verdicts alike. `misses` is the measure of what a rig sees: the share
+of places where objects get too few returns. `beams` says what each beam does at a place, for pictures.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
