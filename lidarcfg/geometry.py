@@ -52,13 +52,14 @@ def level(rpy_rad: ArrayLike) -> Array:
 
 def up(rpy_rad: ArrayLike) -> Array:
     """(…, 3) the z axis of a frame with roll, pitch, yaw (…, 3): the last column of R."""
-    angles = np.asarray(rpy_rad, np.float64)
-    (cr, cp, cy), (sr, sp, sy) = ([of(angles[..., axis]) for axis in range(3)] for of in (np.cos, np.sin))
-    out = np.empty(angles.shape)
-    out[..., 0] = cy * sp * cr + sy * sr
-    out[..., 1] = sy * sp * cr - cy * sr
-    out[..., 2] = cp * cr
-    return out
+    roll, pitch, yaw = np.moveaxis(np.asarray(rpy_rad, np.float64), -1, 0)
+    cr = maths.cos(roll)
+    sr = maths.sin(roll)
+    cp = maths.cos(pitch)
+    sp = maths.sin(pitch)
+    cy = maths.cos(yaw)
+    sy = maths.sin(yaw)
+    return np.stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr], axis=-1)
 
 
 def rotations(rpy_rad: ArrayLike) -> Array:
@@ -79,7 +80,7 @@ def leaning(axis: Array, yaw_rad: Array) -> Array:
     roll = maths.atan2(y_z, z)
     cr = maths.cos(roll)
     sr = maths.sin(roll)
-    pitch = maths.atan2(-x_z, np.hypot(y_z, z))
+    pitch = maths.atan2(-x_z, maths.hypot(y_z, z))
     yaw = maths.atan2(x * sr - y_x * cr, y_y * cr - y * sr)
     return np.stack([roll, pitch, yaw], axis=-1)
 
@@ -94,7 +95,7 @@ def turned(rpy_rad: ArrayLike, by_rad: ArrayLike) -> Array:
 
 def angles(R: Array) -> Array:
     """(…, 3) the roll, pitch and yaw of R (…, 3, 3); roll is 0 where x points straight up or down."""
-    flat = np.hypot(R[..., 0, 0], R[..., 1, 0])
+    flat = maths.hypot(R[..., 0, 0], R[..., 1, 0])
     upright = flat < UPRIGHT
     roll = np.where(upright, 0.0, maths.atan2(R[..., 2, 1], R[..., 2, 2]))
     yaw = np.where(upright, maths.atan2(-R[..., 0, 1], R[..., 1, 1]), maths.atan2(R[..., 1, 0], R[..., 0, 0]))

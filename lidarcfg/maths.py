@@ -55,6 +55,16 @@ def atan2(y: ArrayLike, x: ArrayLike) -> Any:
     return out if out.ndim else float(out)
 
 
+def power(x: float, exponent: ArrayLike) -> Any:
+    """A positive number to the power of some exponents; its error grows with the power's logarithm."""
+    return exp(np.asarray(exponent) * log(x))
+
+
+def hypot(x: ArrayLike, y: ArrayLike) -> Any:
+    """The length of (x, y), by a square root, which is rounded correctly; squares of more than 1e154 overflow."""
+    return np.sqrt(np.square(x) + np.square(y))
+
+
 def _mapped(function: Callable[[Any, Any], None], x: ArrayLike) -> Any:
     values = np.ascontiguousarray(x, np.float64)
     out = np.empty(values.size)

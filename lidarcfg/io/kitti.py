@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.clouds.cloud import PointCloud, checked
 from lidarcfg.errors import CloudError, ConversionError
 from lidarcfg.files import replacing
@@ -173,9 +174,9 @@ def _object_lines(boxes: Boxes, T_camera_world: Array) -> list[str]:
         T = T_camera_world @ T_world_box
         length_m, width_m, height_m = one.size_m.tolist()
         x, y, z = (T[:3, 3] + (0, height_m / 2, 0)).tolist()
-        turned = _angle(-float(np.arctan2(T[2, 0], T[0, 0])))
+        turned = _angle(-float(maths.atan2(T[2, 0], T[0, 0])))
         truncated, image = _in_image(transform(T, CORNERS * one.size_m))
-        alpha = NO_ALPHA if image == NO_BOX else _angle(turned - float(np.arctan2(x, z)))
+        alpha = NO_ALPHA if image == NO_BOX else _angle(turned - float(maths.atan2(x, z)))
         numbers = (*image, height_m, width_m, length_m, x, y, z, turned)
         kind = DATASET_NAMES[one.category].kitti or DATASET_NAMES[None].kitti
         words = f"{kind} {truncated:.2f} {OCCLUSION_UNKNOWN} {alpha:.6f}"

@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.core import world
 from lidarcfg.geometry import Array
 from lidarcfg.packets.families import pattern
@@ -128,16 +129,16 @@ def most_returns(beams: CycleBeams, radius_m: float, distance_m: float) -> int:
     / cos of the elevation), as in a spherical triangle with a right angle where the cone's middle is.
     """
     radius_m += float(np.linalg.norm(beams.start_m, axis=1).max())
-    half_rad = math.asin(radius_m / distance_m) if radius_m < distance_m else math.pi / 2
+    half_rad = maths.asin(radius_m / distance_m) if radius_m < distance_m else math.pi / 2
     spacing_rad = beams.step_rad * beams.phases
     most = 0
     for phase in range(beams.phases):
         heads_rad, firings = beams.of_phase(phase)
         elevation_rad = np.sort(beams.elevation_rad[firings])
-        sine = math.sin(half_rad) / np.maximum(np.cos(elevation_rad), 1e-12)
+        sine = maths.sin(half_rad) / np.maximum(maths.cos(elevation_rad), 1e-12)
         number = np.full(len(firings), len(heads_rad))
         narrow = (sine < 1) & (spacing_rad > 0)
-        within = 2 * np.arcsin(sine[narrow]) / max(spacing_rad, 1e-12)
+        within = 2 * maths.asin(sine[narrow]) / max(spacing_rad, 1e-12)
         number[narrow] = np.minimum(within + 2, len(heads_rad))  # one more where a revolution ends
         before = np.concatenate([[0], np.cumsum(number)])
         last = np.searchsorted(elevation_rad, elevation_rad + 2 * half_rad + 1e-9, side="right")
@@ -173,7 +174,7 @@ def _nearest(item: ObjectRequirement) -> Array:
     """(n, 4) places near the body, or without one near the origin: the nearest position in each direction."""
     base = item.stand.base
     body = item.stand.zone.body
-    direction = np.floor(np.arctan2(base[:, 1], base[:, 0]) * (LOOKED_AT / (2 * math.pi)))
+    direction = np.floor(maths.atan2(base[:, 1], base[:, 0]) * (LOOKED_AT / (2 * math.pi)))
     distance_m = body.to_points_m(base[:, :2]) if body else np.linalg.norm(base[:, :2], axis=1)
     order = np.argsort(distance_m, kind="stable")
     return base[order[np.unique(direction[order], return_index=True)[1]]]
@@ -184,7 +185,8 @@ def _points(item: ObjectRequirement, place: Array) -> Array:
     low, high = item.target.box_m
     thirds = np.array([one for one in product((0.0, 0.5, 1.0), repeat=3) if one != (0.5, 0.5, 0.5)])
     points = low + thirds * (high - low)
-    c, s = np.cos(place[3]), np.sin(place[3])
+    c = maths.cos(place[3])
+    s = maths.sin(place[3])
     return np.asarray(points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + place[:3])
 
 

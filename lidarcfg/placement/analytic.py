@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.core import analytic as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
@@ -225,5 +226,5 @@ def error_bar(coarse: Level, fine: Level, limited: bool = False) -> float:
     where sight is limited or bodies bound the region, as surfaces then end at more edges. Calibrated, not proved:
     docs/measure.md says how often it holds.
     """
-    lattice: float = (2.0 if limited else 1.0) * fine.max_vsr_m / max(fine.pieces, 1.0) ** 0.75
+    lattice: float = (2.0 if limited else 1.0) * fine.max_vsr_m / maths.power(max(fine.pieces, 1.0), 0.75)
     return 2.0 * abs(fine.max_vsr_m - coarse.max_vsr_m) + lattice

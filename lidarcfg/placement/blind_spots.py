@@ -69,7 +69,8 @@ class Directions:
         """(N, 3) the points of some directions at these distances from the reference point."""
         angle = 2 * math.pi / AZIMUTHS * azimuth
         z = np.full(len(angle), self.region.min_m[2] + self.height_m)
-        x, y = (c + from_center_m * f(angle) for c, f in zip(self.center_m, (np.cos, np.sin), strict=True))
+        x = self.center_m[0] + from_center_m * maths.cos(angle)
+        y = self.center_m[1] + from_center_m * maths.sin(angle)
         return np.stack([x, y, z], axis=1)
 
     def counts(self, points: Array) -> Bools:

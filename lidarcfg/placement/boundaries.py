@@ -110,7 +110,7 @@ def _tangents(rounds: Array, position_m: Array) -> Array:
     """(E, 2, 3) the lines on the sides of cylinders that a LiDAR sees edge on, relative to it."""
     out = []
     for x, y, z, radius, height in rounds[rounds[:, 4] >= 0.0] - np.append(position_m, (0.0, 0.0)):
-        distance = np.hypot(x, y)
+        distance = maths.hypot(x, y)
         if distance > radius:
             away = maths.atan2(y, x)
             turn = maths.asin(radius / distance)
@@ -237,7 +237,7 @@ def _edge_spans(edges: Array) -> Array:
 
 def _round_spans(centre: Array, radius: Array) -> Array:
     """(2, Q) the same for spheres."""
-    distance = np.hypot(centre[:, 1], centre[:, 2])
+    distance = maths.hypot(centre[:, 1], centre[:, 2])
     sine = np.divide(radius, distance, out=np.ones(len(radius)), where=distance > radius)
     return np.stack([maths.atan2(centre[:, 2], centre[:, 1]), np.where(sine < 1.0, maths.asin(sine), np.pi)])
 

@@ -269,7 +269,7 @@ def detection_by_distance(
 
 def from_point(point_m: Array) -> Distances:
     """Distances of the middles of objects from a point (2,)."""
-    return lambda places: np.hypot(places[:, 0] - point_m[0], places[:, 1] - point_m[1])
+    return lambda places: maths.hypot(places[:, 0] - point_m[0], places[:, 1] - point_m[1])
 
 
 def ring(distance_m: Array, edges_m: Array) -> Counts:
@@ -302,7 +302,7 @@ def mean_of(rates: Sequence[float], places: int) -> tuple[float, float]:
 
     half_width = float(t.ppf(0.975, len(rates) - 1) * np.std(rates, ddof=1) / math.sqrt(len(rates)))
     if min(rates) == max(rates):
-        half_width = 1.0 - 0.05 ** (1.0 / places)
+        half_width = 1.0 - maths.power(0.05, 1.0 / places)
     return float(np.mean(rates)), half_width
 
 
@@ -314,7 +314,7 @@ def drawn_boxes(region: Region, size_m: tuple[float, float, float], on_ground: b
     length, width, height = size_m
     for replicate in range(REPLICATES):
         sobol = qmc.Sobol(4, rng=np.random.default_rng(replicate))
-        u = sobol.random_base2(max(math.ceil(math.log2(samples / REPLICATES)), 0))
+        u = sobol.random_base2(max(math.ceil(samples / REPLICATES) - 1, 0).bit_length())
         heading = 2 * math.pi * u[:, 3]
         reach_x = (length * abs(maths.cos(heading)) + width * abs(maths.sin(heading))) / 2
         reach_y = (length * abs(maths.sin(heading)) + width * abs(maths.cos(heading))) / 2

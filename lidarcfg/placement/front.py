@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lidarcfg import maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.combinations import Combination, Example, combinations, starts
@@ -307,7 +308,7 @@ class FrontRun:
         if fresh:
             return min(fresh, key=lambda i: self._prices[i])
         spent = np.array([max(candidate.evaluations, 1) for candidate in self.searches])
-        effort = np.log(spent) + required_growth(self._prices, self.objectives)
+        effort = maths.log(spent) + required_growth(self._prices, self.objectives)
         return min(there, key=lambda i: effort[i])
 
     def result(self, interrupted: bool) -> Front:
@@ -337,7 +338,7 @@ def required_growth(prices: Array, objectives: Array) -> Array:
     order = np.lexsort((objectives, prices))
     least = np.empty(len(prices))
     least[order] = np.minimum.accumulate(objectives[order])
-    most = math.log(NEGLECT)
+    most: float = maths.log(NEGLECT)
     with np.errstate(divide="ignore", invalid="ignore"):
         gap = objectives / least - 1.0
     gap[objectives == least] = 0.0

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg import core
+from lidarcfg import core, maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import analytic
@@ -205,7 +206,7 @@ def _posts(study: Study, rig: Rig) -> tuple[PostVisibility, ...]:
 
 
 def _from(point_m: Array) -> Callable[[Array], Array]:
-    return lambda points: np.hypot(*(points - point_m).T)
+    return lambda points: maths.hypot(*(points - point_m).T)
 
 
 def ring_edges_m(region: Region, distances: Callable[[Array], Array]) -> Array:
@@ -215,6 +216,6 @@ def ring_edges_m(region: Region, distances: Callable[[Array], Array]) -> Array:
     """
     corners = [(x, y) for x in (region.min_m[0], region.max_m[0]) for y in (region.min_m[1], region.max_m[1])]
     far = float(distances(np.array(corners)).max())
-    power = 10.0 ** math.floor(math.log10(far / RINGS_MAX))
+    power = float(f"1e{Decimal(far / RINGS_MAX).adjusted()}")
     width = next(step * power for step in (*RING_M, 10) if RINGS_MAX * step * power > far)
     return np.arange(math.floor(far / width) + 2) * np.float64(width)

@@ -114,7 +114,7 @@ def _angles(points: Array, middle_rad: float) -> Array:
     """(N, 2) azimuths, within half a turn of one, and elevations of points (N, 3)."""
     azimuth = maths.atan2(points[:, 1], points[:, 0])
     near = middle_rad + np.mod(azimuth - middle_rad + math.pi, 2 * math.pi) - math.pi
-    return np.stack([near, maths.atan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))], axis=1)
+    return np.stack([near, maths.atan2(points[:, 2], maths.hypot(points[:, 0], points[:, 1]))], axis=1)
 
 
 def _ranges(T_object_vehicle: Array, starts_m: Array, way: Array, target: Target, most_m: float) -> Array:

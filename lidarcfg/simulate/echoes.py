@@ -30,7 +30,7 @@ LIDAR_RATIO_SR = 18.8
 KOSCHMIEDER = 3.912  # -ln(0.02): extinction times visibility (WMO-No. 8), at 903 nm as in visible light
 RAIN_DB_KM = 1.076  # Carbonneau and Wisely 1998, as in ITU-R P.1814: dB/km = 1.076 R^0.67
 RAIN_EXPONENT = 0.67
-DECIBEL = 10 / math.log(10)
+DECIBEL = 10 / maths.log(10)
 # A Gaussian beam by Gauss-Hermite quadrature with three nodes per direction; the divergence is the full angle at 1/e²
 # of the intensity (a guess, the makers do not say), which is four sigma.
 NODES = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4
@@ -116,8 +116,10 @@ def _width_mrad(sensor: Sensor, realism: Realism) -> tuple[float, float]:
 def extinction_per_m(weather: Weather) -> float:
     """The extinction coefficient of fog and rain together."""
     fog = KOSCHMIEDER / weather.fog_visibility_m if weather.fog_visibility_m else 0.0
-    rain = RAIN_DB_KM * weather.rain_mm_h**RAIN_EXPONENT / DECIBEL / 1000 if weather.rain_mm_h else 0.0
-    return fog + rain
+    if not weather.rain_mm_h:
+        return fog
+    rain_db_km = RAIN_DB_KM * maths.power(weather.rain_mm_h, RAIN_EXPONENT)
+    return float(fog + rain_db_km / DECIBEL / 1000)
 
 
 def wide_beam_echoes(

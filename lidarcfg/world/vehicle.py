@@ -1,6 +1,5 @@
 """A vehicle: the bodies that travel with the sensors and block their beams, in the vehicle frame."""
 
-import math
 import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -333,7 +332,8 @@ def likely_scale(size: Array) -> float:
     """The likely scale of a vehicle's mesh of a size (3,): one of UNITS."""
     if LEAST_M <= size.max() <= MOST_M or size.max() == 0:
         return 1.0
-    return min(UNITS, key=lambda one: abs(math.log(float(size.max()) * one / TYPICAL_M)))
+    times = float(size.max()) / TYPICAL_M
+    return min(UNITS, key=lambda one: max(times * one, 1 / (times * one)))
 
 
 def _unit_warnings(item: MeshFile, mesh: Mesh) -> list[str]:

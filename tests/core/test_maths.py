@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.core import maths
+from lidarcfg.maths import hypot, power
 
 ULPS = {"sin": 3, "cos": 3, "tan": 4, "asin": 3, "acos": 3, "exp": 2, "log": 2}
 INSIDE = {"asin": (-1, 1), "acos": (-1, 1), "tan": (-1.5, 1.5), "exp": (-700, 700), "log": (1e-300, 10)}
@@ -31,6 +32,21 @@ def test_atan2_is_the_systems_but_for_the_last_place():
     expected = np.array([math.atan2(y, x) for y, x in points])
     found = mapped("atan2", points[:, 0], points[:, 1])
     assert (abs(found - expected) <= 3 * np.spacing(abs(expected))).all()
+
+
+def test_powers_and_lengths_are_the_systems_but_for_the_last_places():
+    """An error of the logarithm counts in a power as often as the power's own logarithm says."""
+    rng = np.random.default_rng(1)
+    for base in (0.05, 2.0, 300.0):
+        exponent = rng.uniform(-3, 3, 1000)
+        expected = np.array([base**one for one in exponent.tolist()])
+        most = 4 + 2 * abs(exponent * math.log(base))
+        assert (abs(power(base, exponent) - expected) <= most * np.spacing(expected)).all()
+    x, y = rng.normal(size=(2, 20_000))
+    expected = np.array([math.hypot(*both) for both in zip(x, y, strict=True)])
+    assert (abs(hypot(x, y) - expected) <= np.spacing(expected)).all()
+    assert hypot(3.0, -4.0) == 5.0
+    assert power(7.0, 0.0) == 1.0
 
 
 @pytest.mark.parametrize("y", EDGES)

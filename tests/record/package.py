@@ -27,6 +27,8 @@ from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.front import front
 from lidarcfg.placement.report_inputs import report_inputs
+from lidarcfg.placement.solvers.annealing import Annealing
+from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study import with_solver
 from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.subspace import seen_cuboids, segment
@@ -42,6 +44,8 @@ fill = view.blend_triangles
 __all__ = [
     "NO_OBSTACLES",
     "START_NS",
+    "Annealing",
+    "Coordinates",
     "Region",
     "Rig",
     "StudyEvaluator",

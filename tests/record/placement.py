@@ -12,6 +12,11 @@ from tests.record.answers import INPUTS, Answers, case, named
 PAPER = "paper-1x4", "paper-4x16", "paper-3x8"
 LIMITED = "car-max-vsr", "round", "surface"
 OBJECTIVES = "paper-3x8", "car-blind", "car-detection", "car-returns", "car-lost", "surface", "round"
+TILTED_DEG = (
+    [(22.04, 7.93, 111.7), (-0.39, 28.3, -77.23), (29.94, -14.27, 125.66)],
+    [(9.77, -26.2, 1.38), (-17.57, -7.93, 108.79), (27.15, -23.61, 78.48)],
+    [(-7.84, -15.53, -179.94), (19.72, -21.79, -136.3), (-18.28, -26.95, -138.14)],
+)
 METHODS = "abc", "annealing", "cmaes", "de", "auto"
 
 
@@ -110,6 +115,33 @@ for each, count in [*((name, 4) for name in PAPER), *((name, 2) for name in LIMI
     @case(f"evaluations of {each}")
     def _evaluated(folder: Path, name: str = each, count: int = count) -> Answers:
         return _evaluations(name, count)
+
+
+@case("tilted rigs")
+def _tilted_rigs(folder: Path) -> Answers:
+    """Three sensors each, tilted by angles of which numpy's sine or cosine differs from processor to processor."""
+    answers: dict[str, object] = {}
+    one = study("paper-3x8")
+    for number, rpy_deg in enumerate(TILTED_DEG):
+        at = poses("paper-3x8", 1)[0].copy()
+        at[:, 3:] = np.radians(rpy_deg)
+        found = package.evaluate(one, one.rig(at))
+        axes = np.array([lidar.axis for lidar in package.rig_lidars(one.rig(at))])
+        answers |= named(f"rig {number}", evaluation_of(found) | {"axes": axes, "cost": one.cost(at)})
+    return answers
+
+
+@case("trials of annealing")
+def _trials_of_annealing(folder: Path) -> Answers:
+    """What is drawn, and what it has to beat, on the way down a bowl."""
+    groups = np.repeat(np.arange(3), 4)
+    drawing = package.Annealing(package.Coordinates(groups, np.tile(np.arange(4), 3)), np.random.default_rng(3), 4000)
+    answers: dict[str, object] = {}
+    for number in range(40):
+        trials = drawing.ask()
+        answers |= named(f"{number}", {"x": trials.x, "to beat": trials.upper_bound})
+        drawing.tell(np.square(trials.x - 0.3).sum(axis=1))
+    return answers
 
 
 @case("a tilted and a tumbled region")

@@ -175,4 +175,4 @@ def identify(data: Bytes, known: Sequence[Unit]) -> Unit:
     headers = headers_of(data)
     steps = np.maximum(headers["points"].astype(np.float64) - 1, 1)
     step_ns = max(float(np.median(headers["interval"].astype(np.float64) * INTERVAL_NS / steps)), 1.0)
-    return min(known, key=lambda unit: abs(math.log(step_ns / unit.firing_ns)))
+    return min(known, key=lambda unit: max(step_ns / unit.firing_ns, unit.firing_ns / step_ns))

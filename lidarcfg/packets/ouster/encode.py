@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lidarcfg import maths
 from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags
@@ -26,7 +27,7 @@ from lidarcfg.sensors.firing import Batch
 BYTE = np.arange(256.0)
 # Per cent of a white target's light that a reflectivity says: above 100 it doubles with each 16, as a recorded OS2's
 # medians grow. The maker says of retro-reflectors only that the scale is not linear.
-LIGHT = np.where(BYTE <= 100, BYTE, 100 * 2 ** ((BYTE - 100) / 16))
+LIGHT = np.where(BYTE <= 100, BYTE, 100 * maths.power(2.0, (BYTE - 100) / 16))
 MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signal2")
 
 

@@ -305,7 +305,7 @@ def _fixes(trajectory: "Trajectory", origin: "GeoOrigin", at_ns: Times, known_ns
     place_m = trajectory.world(np.zeros((len(known_ns), 3)), known_ns)
     ahead_m = trajectory.world(np.tile([1.0, 0.0, 0.0], (len(known_ns), 1)), known_ns) - place_m
     velocity_m_s = trajectory.velocity_m_s(known_ns)
-    speed_m_s = np.hypot(*velocity_m_s[:, :2].T)
+    speed_m_s = maths.hypot(*velocity_m_s[:, :2].T)
     along = np.where(speed_m_s[:, None] >= SLOWEST_M_S, velocity_m_s, ahead_m)
     course_rad = maths.atan2(along[:, 1], along[:, 0])
     rows = np.column_stack([geographic(origin, place_m), course_rad, speed_m_s]).tolist()

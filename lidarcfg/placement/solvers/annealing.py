@@ -23,6 +23,7 @@ round. Long before its end it shows which population is in the best basin: only 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Coordinates, Runs, Trials, checked
 
@@ -101,7 +102,7 @@ class Annealing:
     @property
     def temperature(self) -> float:
         """How far uphill a chain goes on average, as a fraction of its cost."""
-        return float(self._hot * (T_END / self._hot) ** self.progress)
+        return float(self._hot * maths.power(T_END / self._hot, self.progress))
 
     def ask(self) -> Trials:
         """Where the chains begin, then some trials for each of them."""
@@ -163,7 +164,7 @@ class Annealing:
         moves = self._members[group]
         some = moves & (rng.random((n, dimensions)) < STEP_COORDINATE)
         some = np.where(some.any(axis=1, keepdims=True), some, moves)
-        deviation = STEP_LEAST * (STEP_MOST / STEP_LEAST) ** rng.random((n, 1))
+        deviation = STEP_LEAST * maths.power(STEP_MOST / STEP_LEAST, rng.random((n, 1)))
         normal = rng.standard_normal((n, dimensions))
         first = chain // CHAINS * CHAINS  # of its population
         one, other = (first + (chain + rng.integers(1, CHAINS, size=n)) % CHAINS for _ in range(2))
@@ -178,7 +179,7 @@ class Annealing:
         x = 1.0 - np.abs(1.0 - np.abs(x))  # reflected by the walls
         cost = self._cost[chain]
         with np.errstate(over="ignore", invalid="ignore"):
-            upper_bound = cost + np.abs(cost) * np.expm1(self.temperature * rng.exponential(size=n))
+            upper_bound = cost + np.abs(cost) * (maths.exp(self.temperature * rng.exponential(size=n)) - 1)
         upper_bound = np.where(np.isnan(upper_bound), np.inf, upper_bound)
         return Trials("trial", np.clip(x, 0.0, 1.0), chain, upper_bound, self._smoothing)
 

@@ -3,6 +3,7 @@
 import cma
 import numpy as np
 
+from lidarcfg import maths
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Best, Trials
 
@@ -26,7 +27,7 @@ class CmaEs(Best):
         self._rng = np.random.default_rng(seed)
         self._dimensions = dimensions
         self._step = step
-        self._population = population or 4 + int(3 * np.log(dimensions))
+        self._population = population or 4 + int(3 * maths.log(dimensions))
         self.cycles = 0
         self.best_x = self._rng.random(dimensions)
         self.mean_cost = np.inf
