@@ -47,7 +47,7 @@ QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on th
     "Search",
     cloup.option(
         "--solver",
-        type=click.Choice(["auto", "abc", "annealing", "cmaes", "de"]),
+        type=click.Choice(["auto", "abc", "annealing", "cmaes"]),
         help="Search method.  [default: the study's]",
     ),
     cloup.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Random seed.  [default: the study's]"),

@@ -274,7 +274,7 @@ def effort_of(job: Job, threads: int | None = None) -> Effort | str:
     with run.evaluator(threads, job.skip) as evaluator:
         while not run.is_over(budget) and not run.is_verified:
             run.step(evaluator, budget)
-        if run.best_cost >= INFEASIBLE:
+        if run.best_cost.shortfall >= INFEASIBLE:
             return NO_RIG
         shortfalls = evaluator.shortfalls(study.poses(run.best_x[None])[0])
     assert study.requirements

@@ -22,10 +22,10 @@ from lidarcfg import maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.combinations import Combination, Example, combinations, starts
-from lidarcfg.placement.search_run import INFEASIBLE, Budget, Cycle, Log, Placement, SearchRun
+from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.cma_es import WarmStart
-from lidarcfg.placement.solvers.search import FixedPoint, Search
+from lidarcfg.placement.solvers.search import NO_COST, FixedPoint, Search
 from lidarcfg.placement.study import Study
 
 PROGRESS = 0.4
@@ -97,7 +97,7 @@ def on_front(prices: Sequence[float], objectives: Sequence[float]) -> list[bool]
     best = math.inf
     found = [False] * len(prices)
     for i in sorted(range(len(prices)), key=lambda i: (prices[i], objectives[i])):
-        if objectives[i] < min(best, INFEASIBLE):
+        if objectives[i] < best:
             best = objectives[i]
             found[i] = True
     return found
@@ -154,7 +154,7 @@ class CandidateSearch:
     @property
     def objective(self) -> float:
         """The least so far; inf without a rig that meets the constraints."""
-        return self.best.best_cost if self.best.best_cost < INFEASIBLE else math.inf
+        return self.best.best_cost.objective
 
     @property
     def evaluations(self) -> int:
@@ -203,7 +203,7 @@ class CandidateSearch:
         own = self.own
         if len(self.runs) == 1:
             return found
-        last = Cycle(self.cycles, self.evaluations, self.best.best_cost, own.history[-1].mean, self.seconds)
+        last = Cycle(self.cycles, self.evaluations, self.best.best_cost.number, own.history[-1].mean, self.seconds)
         works = [run.work for run in self.runs]
         return replace(
             found,
@@ -273,7 +273,7 @@ class FrontRun:
                 self._work(candidate, learner, TRANSFER, threads, skip)
             else:
                 self._work(candidate, candidate.own, max(PART, int(GROWTH * candidate.own.evaluations)), threads, skip)
-            state = candidate.evaluations, candidate.best.best_cost, self.on_front()[i], self.seconds
+            state = candidate.evaluations, candidate.best.best_cost.number, self.on_front()[i], self.seconds
             self.history.append(Part(self.evaluations, candidate.combination.name, *state))
             if on_part:
                 on_part(self)
@@ -313,7 +313,7 @@ class FrontRun:
 
     def result(self, interrupted: bool) -> Front:
         """The front so far. Raises KeyboardInterrupt if there is none yet, ConfigError where no rig is allowed."""
-        if not any(math.isfinite(candidate.best.best_cost) for candidate in self.searches):
+        if all(candidate.best.best_cost == NO_COST for candidate in self.searches):
             raise KeyboardInterrupt
         on_front = self.on_front()
         objectives = self.objectives.tolist()

@@ -5,14 +5,9 @@ time, and at the end, the best rig that meets all is verified, at all places of 
 fails, the worst of these join the set, and the solver starts anew from that rig. When this happens depends on the
 evaluations alone, so a search that is resumed does the same.
 
-The costs of a study's trials that must meet requirements: shortfalls first, then the objective or the least margin.
-
-A cost is one number, so that solvers need not know. Of a rig that misses requirements it is the sum of their
-shortfalls. Of one that meets all it is the objective times 2⁻⁸⁰, a power of two, by which no digit is lost; without an
-objective 1 / (1 + the least relative margin) stands for it. No shortfall is that small: the least is one return missing
-at one of millions of places, and no objective exceeds 2²⁰. Rigs that violate constraints cost INFEASIBLE or more, which
-no shortfall reaches. So costs are ordered as they should, and solvers that compare them by their ratio stay as they
-are.
+The shortfall of a rig is the sum of those of its requirements; that of one that violates constraints is INFEASIBLE or
+more, which no sum reaches. Without an objective, what is minimised of rigs that meet all is 1 / (1 + the least relative
+margin).
 """
 
 import math
@@ -31,9 +26,20 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.achievable import unachievable
 from lidarcfg.placement.evaluator import Index
 from lidarcfg.placement.plain_rigs import plain_points
-from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator
+from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator, objective_costs
 from lidarcfg.placement.solvers import start_search
-from lidarcfg.placement.solvers.search import Best, FixedPoint, Search, Trials
+from lidarcfg.placement.solvers.search import (
+    NO_COST,
+    Best,
+    Cost,
+    FixedPoint,
+    Search,
+    Trials,
+    cost_of,
+    is_below,
+    mean,
+    unbounded,
+)
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement
@@ -43,35 +49,14 @@ from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.places import FINEST_M, FINEST_RAD
 from lidarcfg.sensors.rig import Mount
 
-MET_SCALE = 2.0**-80
-MET_MOST = 2.0**-60  # no rig that meets all costs as much
 SHORTFALL_MOST = 1e5  # below INFEASIBLE
+LEAST = math.ulp(0.0)  # the least number above 0
 LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
 SLICE_MOST = 1000
 FIRST_POINTS = 2  # that are judged in full
 POINTS_GROWTH = 3  # of the number of points, until the best so far is what the next have to beat
 LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
-
-
-def cost_of(shortfall: float, wanted: float) -> float:
-    """The cost of a rig: its shortfall, or if that is 0 what else is minimised, which is at least 0.
-
-    inf where the one or the other is, as of trials that are given up.
-    """
-    if shortfall > 0:
-        return min(shortfall, SHORTFALL_MOST) if math.isfinite(shortfall) else math.inf
-    return wanted * MET_SCALE
-
-
-def meets(cost: float) -> bool:
-    """Whether a rig of this cost meets all requirements at the places that trials use."""
-    return cost < MET_MOST
-
-
-def readable(cost: float) -> float:
-    """What a cost stands for: the shortfall, or the objective of a rig that meets all."""
-    return cost / MET_SCALE if meets(cost) else cost
 
 
 class RequirementsEvaluator:
@@ -138,32 +123,34 @@ class RequirementsEvaluator:
     def costs(
         self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
     ) -> Array:
-        """(n,) the costs, or inf where one is not below `upper_bound` (n,). See Evaluator.costs."""
+        """(n, 2) the costs, or (inf, inf) where one is not below `upper_bound` (n, 2). See Evaluator.costs."""
         began = time.perf_counter()
-        limits = upper_bound if self._skip else np.full(len(poses), np.inf)
+        limits = upper_bound if self._skip else unbounded(len(poses))
         rigs = self._judge.rigs(poses)
         run = map if self._threads == 1 else self._pool.map
-        cost = np.array(list(run(self._cost, rigs, limits.tolist())), np.float64)
+        cost = np.array(list(run(self._cost, rigs, limits.tolist()))).reshape(-1, 2)
         if self._objective:
-            met = np.flatnonzero(cost < MET_MOST)
-            bound = limits[met]
-            beaten = np.where(bound < MET_MOST, bound / MET_SCALE, np.inf)
-            wanted = self._objective.costs(poses[met], source[met], source_poses, beaten) if len(met) else np.empty(0)
-            cost[met] = [cost_of(0.0, one) for one in wanted.tolist()]
+            met = np.flatnonzero(cost[:, 0] == 0)
+            if len(met):
+                cost[met] = objective_costs(self._objective, poses[met], source[met], source_poses, limits[met])
         self._judge.learn()
         self.trials += len(poses)
         self._seconds += time.perf_counter() - began
         if self._on_evaluations:
             self._on_evaluations(self.trials)
-        return np.where(cost < limits, cost, np.inf)
+        return np.where(is_below(cost, limits)[:, None], cost, np.inf)
 
     def shortfalls(self, poses: Array) -> tuple[float, ...]:
         """Of one rig's poses (slots, 6), for each requirement in turn."""
         return self._judge.shortfalls(self._judge.rigs(poses[None])[0])
 
-    def _cost(self, rig: Draws, limit: float) -> float:
-        """The cost of a rig by shortfalls and margin; 0 if it meets all and there is an objective."""
-        return cost_of(self._judge.shortfall(rig, limit), 0.0)
+    def _cost(self, rig: Draws, limit: tuple[float, float]) -> Cost:
+        """The cost of a rig by its shortfall; (0, 0) if it meets all."""
+        limit_shortfall, _ = limit
+        shortfall = self._judge.shortfall(rig, max(limit_shortfall, LEAST))
+        if shortfall > 0:
+            return Cost(min(shortfall, SHORTFALL_MOST) if math.isfinite(shortfall) else math.inf, math.inf)
+        return Cost(0.0, 0.0)
 
 
 class PointsFirst(Best):
@@ -179,7 +166,7 @@ class PointsFirst(Best):
         self._points = points
         self._seed = (study.solver.seed + restarts) % 2**63
         self._search: Search | None = None
-        self._known = np.empty(0)  # costs of points
+        self._known = np.empty((0, 2))  # costs of points
         self.cycles = 0
         self.best_x = points[0]
 
@@ -193,8 +180,8 @@ class PointsFirst(Best):
         """The mean cost of the population."""
         if self._search:
             return self._search.mean_cost
-        known = self._known[np.isfinite(self._known)]
-        return float(known.mean()) if len(known) else math.inf
+        known = self._known[np.isfinite(self._known[:, 0])]
+        return mean(known) if len(known) else math.inf
 
     def ask(self) -> Trials:
         """The next of the points, or the solver's next trials."""
@@ -202,10 +189,10 @@ class PointsFirst(Best):
             return self._search.ask()
         done = len(self._known)
         some = self._points[done : max(FIRST_POINTS, done * POINTS_GROWTH)]
-        return Trials("first", some, np.zeros(len(some), np.int64), np.full(len(some), self.best_cost))
+        return Trials("first", some, np.zeros(len(some), np.int64), np.tile(self.best_cost, (len(some), 1)))
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of the trials."""
+        """The costs (n, 2) of the trials."""
         self.keep_best(self.ask().x, cost)
         if self._search:
             self._search.tell(cost)
@@ -233,7 +220,7 @@ class Verified:
     """A rig that meets all requirements, refined places included."""
 
     x: Array
-    cost: float
+    cost: Cost
     verdict: Verdict
 
 
@@ -282,15 +269,26 @@ class RequirementsRun(SearchRun):
     ) -> RequirementsEvaluator:
         return RequirementsEvaluator(self.study, threads, skip, on_evaluations, self._more_places)
 
+    def _costs(
+        self,
+        evaluator: TrialEvaluator,
+        poses: Array,
+        source: Index,
+        source_poses: Array,
+        upper_bound: Array,
+        smoothing: float,
+    ) -> Array:
+        return evaluator.costs(poses, source, source_poses, upper_bound, smoothing)
+
     def _line(self) -> Cycle:
         line = super()._line()
         return RequirementsCycle(
             cycle=self.cycles,
             evaluations=line.evaluations,
-            best=readable(line.best),
-            mean=readable(line.mean),
+            best=line.best,
+            mean=line.mean,
             seconds=line.seconds,
-            shortfall=0.0 if meets(line.best) else line.best,
+            shortfall=self.best_cost.shortfall,
         )
 
     def is_over(self, budget: Budget) -> bool:
@@ -299,13 +297,18 @@ class RequirementsRun(SearchRun):
         return super().is_over(budget) or (bool(self.history) and time.perf_counter() + needed_s >= budget.deadline)
 
     @property
+    def _meets(self) -> bool:
+        """Whether the best rig meets all requirements at the places that count in trials."""
+        return self.best_cost.shortfall == 0
+
+    @property
     def _is_best_verified(self) -> bool:
         return self._verified is not None and bool((self.best_x == self._verified.x).all())
 
     def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials, and verify the best rig where that is due. Returns as SearchRun.step."""
         told = super().step(evaluator, budget)
-        is_due = meets(self.best_cost) and self.evaluations >= self._next_check and not self.is_over(budget)
+        is_due = self._meets and self.evaluations >= self._next_check and not self.is_over(budget)
         if is_due and time.perf_counter() + self._verify_s < budget.deadline:
             self._check(evaluator)
         return told
@@ -321,7 +324,7 @@ class RequirementsRun(SearchRun):
         """Whether the best rig meets all requirements, at all places."""
         if self._is_best_verified:
             return True
-        return meets(self.best_cost) and not self._missed() and self._verify().passed
+        return self._meets and not self._missed() and self._verify().passed
 
     def _verify(self) -> Verdict:
         """The verdict on the best rig, which is kept if it passes."""
@@ -361,7 +364,7 @@ class RequirementsRun(SearchRun):
         known = [self.best_x] + ([self._verified.x] if self._verified else [])
         self._search = PointsFirst(self.study, np.concatenate([known, points]), self._restarts)
         poses = self.study.poses(self.best_x[None])
-        self.best_cost = float(evaluator.costs(poses, np.zeros(1, np.int64), poses, np.full(1, np.inf))[0])
+        self.best_cost = cost_of(evaluator.costs(poses, np.zeros(1, np.int64), poses, unbounded(1))[0])
 
     def _schedule(self, interval: int) -> None:
         self._interval = interval
@@ -395,9 +398,9 @@ class RequirementsRun(SearchRun):
         if verdict is None and self._verified and self._is_best_verified:
             verdict = self._verified.verdict
         if verdict is None:
-            verdict = self.verdict_on(x) if math.isfinite(self.best_cost) else Verdict(())
+            verdict = Verdict(()) if self.best_cost == NO_COST else self.verdict_on(x)
         remarks = []
-        if meets(self.best_cost) and not verdict.passed:
+        if self._meets and not verdict.passed:
             what = "the best rig met all requirements at the places that count in a search, but not at all others"
             if self._verified:
                 what += "; this one is the best that was verified"
@@ -417,7 +420,7 @@ class RequirementsRun(SearchRun):
         if self.study.only_required:
             objective = verdict.least_margin
         else:
-            objective = readable(self.best_cost) if meets(self.best_cost) else self.study.cost(poses)
+            objective = self.best_cost.objective if self._meets else self.study.cost(poses)
         return replace(found, objective=objective, remarks=tuple(remarks))
 
 

@@ -12,18 +12,24 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluation import Evaluation, evaluate
-from lidarcfg.placement.evaluator import Evaluator, Index
+from lidarcfg.placement.evaluator import Index
 from lidarcfg.placement.metric import max_vsr
-from lidarcfg.placement.solvers.search import Search, Trials, checked
+from lidarcfg.placement.solvers.search import (
+    NO_COST,
+    Search,
+    Trials,
+    checked,
+    cost_of,
+    least,
+    of_objectives,
+)
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.study_file import COORDINATES, Solver
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Rig
 
-INFEASIBLE = 1e6  # cost of a rig that violates the constraints, times 1 + the violation
-
-
+INFEASIBLE = 1e6  # shortfall of a rig that violates the constraints, by 1 + the violation
 AT_BOUND = 1e-6  # metres and radians from it
 TURN = 2 * math.pi - AT_BOUND
 
@@ -34,7 +40,7 @@ class Cycle:
 
     cycle: int
     evaluations: int
-    best: float
+    best: float  # objective, or shortfall of a rig that has one
     mean: float
     seconds: float
 
@@ -43,13 +49,13 @@ class Cycle:
 class Log:
     """The costs that a search was told: everything needed to resume it."""
 
-    cost: Array  # (told,) in the order of asking
+    cost: Array  # (told, 2) in the order of asking
     seconds: float  # spent so far
 
     @classmethod
     def empty(cls) -> "Log":
         """The log of a search that has not begun."""
-        return cls(np.empty(0), 0.0)
+        return cls(np.empty((0, 2)), 0.0)
 
 
 @dataclass(frozen=True)
@@ -137,7 +143,10 @@ class TrialEvaluator(Protocol):
     def costs(
         self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
     ) -> Array:
-        """(n,) the costs, or inf where one is not below `upper_bound` (n,). See Evaluator.costs."""
+        """What is minimised, or inf where that is not below `upper_bound`. See Evaluator.costs.
+
+        Of a study's objective (n,) values; of requirements (n, 2) costs.
+        """
 
 
 @dataclass(frozen=True)
@@ -178,7 +187,7 @@ class SearchRun:
         self.asked = {"first": 0, "scout": 0, "trial": 0}
         self.history: list[Cycle] = []
         self.best_x = search.best_x
-        self.best_cost = math.inf
+        self.best_cost = NO_COST
         self.work = WorkDone()
 
     @property
@@ -239,15 +248,15 @@ class SearchRun:
         return self._search.ask()
 
     def tell(self, trials: Trials, cost: Array, budget: Budget) -> bool:
-        """Tell the solver the costs (n,) of its trials, and keep the best. Returns as `step` does."""
+        """Tell the solver the costs (n, 2) of its trials, and keep the best. Returns as `step` does."""
         search = self._search
         kind = self._kind(trials)
         self.asked[kind] += len(cost)
-        best = int(np.argmin(cost))
+        best = least(cost)
         counts = not (trials.smoothing and self._smooths)
-        if cost[best] < self.best_cost and counts:
+        if cost_of(cost[best]) < self.best_cost and counts:
             self.best_x = trials.x[best].copy()
-            self.best_cost = float(cost[best])
+            self.best_cost = cost_of(cost[best])
         cycles = search.cycles
         if len(cost) == len(trials.x):  # a batch cut short is not told: a resumed run asks for all of it again
             search.tell(cost)
@@ -258,13 +267,13 @@ class SearchRun:
 
     def _line(self) -> Cycle:
         search = self._search
-        return Cycle(search.cycles, self.evaluations, self.best_cost, search.mean_cost, self.seconds)
+        return Cycle(search.cycles, self.evaluations, self.best_cost.number, search.mean_cost, self.seconds)
 
     def _kind(self, trials: Trials) -> str:
         return trials.phase if trials.phase in self.asked else "trial"
 
     def costs(self, trials: Trials, evaluator: TrialEvaluator, budget: Budget) -> Array:
-        """(n,) the costs of the rigs at the trials, those of the log first; fewer if a budget cuts the batch short."""
+        """(n, 2) the costs of the rigs at trials, those of the log first; fewer if a budget cuts the batch short."""
         count = len(trials.x)
         if len(self._replay) >= count:
             cost = self._replay[:count]
@@ -274,19 +283,53 @@ class SearchRun:
         left = count
         if budget.evaluations is not None and self._kind(trials) == "trial":
             left = min(left, budget.evaluations - self.evaluations)
-        cost = costs(self.study, evaluator, self._search.sources, trials, left, budget.deadline)
+        cost = self._evaluated(trials, evaluator, left, budget.deadline)
         if len(cost) == count:
             self._told.append(cost)
         return cost
+
+    def _evaluated(self, trials: Trials, evaluator: TrialEvaluator, count: int, deadline: float) -> Array:
+        """(count, 2) the costs of the first trials, or inf where one is not below its upper bound.
+
+        Fewer if the `deadline` (of `clock`) passes meanwhile.
+        """
+        study = self.study
+        source_poses = study.poses(self._search.sources)
+        slices = []
+        step = count if deadline == math.inf else evaluator.slice
+        for first in range(0, count, step):
+            part = slice(first, min(first + step, count))
+            poses = study.poses(trials.x[part])
+            violation = study.violation(poses)
+            cost = np.stack([INFEASIBLE * (1.0 + violation), np.full(len(poses), np.inf)], axis=1)
+            kept = np.flatnonzero(violation == 0.0)
+            asked = poses[kept], trials.source[part][kept], source_poses, trials.upper_bound[part][kept]
+            cost[kept] = self._costs(evaluator, *asked, trials.smoothing)
+            slices.append(cost)
+            if time.perf_counter() > deadline:
+                break
+        return checked(np.concatenate(slices))
+
+    def _costs(
+        self,
+        evaluator: TrialEvaluator,
+        poses: Array,
+        source: Index,
+        source_poses: Array,
+        upper_bound: Array,
+        smoothing: float,
+    ) -> Array:
+        """(n, 2) the costs of rigs that keep the constraints."""
+        return objective_costs(evaluator, poses, source, source_poses, upper_bound, smoothing)
 
     def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
         """The result; `verdict` as in evaluate.
 
         Raises KeyboardInterrupt if there is none yet, ConfigError if no rig meets the constraints.
         """
-        if not math.isfinite(self.best_cost):
+        if self.best_cost == NO_COST:
             raise KeyboardInterrupt
-        if self.best_cost >= INFEASIBLE:
+        if self.best_cost.shortfall >= INFEASIBLE:
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
         study = self.study
         rig = self.rig()
@@ -296,7 +339,7 @@ class SearchRun:
         return Placement(
             rig=rig,
             evaluation=evaluate(study, rig, verdict=verdict),
-            objective=self.best_cost,
+            objective=self.best_cost.objective,
             midpoint_max_vsr_m=midpoint,
             history=tuple(self.history),
             evaluations=self.evaluations,
@@ -325,27 +368,14 @@ def at_bounds(study: Study, poses: Array) -> tuple[str, ...]:
     return tuple(found)
 
 
-def costs(
-    study: Study, evaluator: Evaluator | TrialEvaluator, sources: Array, trials: Trials, count: int, deadline: float
+def objective_costs(
+    evaluator: TrialEvaluator,
+    poses: Array,
+    source: Index,
+    source_poses: Array,
+    upper_bound: Array,
+    smoothing: float = 0.0,
 ) -> Array:
-    """(count,) the costs of the first trials, or inf where one is not below its upper bound.
-
-    Fewer if the `deadline` (of `clock`) passes meanwhile.
-    """
-    source_poses = study.poses(sources)
-    slices = []
-    step = count if deadline == math.inf else evaluator.slice
-    for first in range(0, count, step):
-        part = slice(first, min(first + step, count))
-        poses = study.poses(trials.x[part])
-        source = trials.source[part]
-        upper_bound = trials.upper_bound[part]
-        violation = study.violation(poses)
-        cost = INFEASIBLE * (1.0 + violation)
-        allowed = np.flatnonzero(violation == 0.0)
-        asked = poses[allowed], source[allowed], source_poses, upper_bound[allowed]
-        cost[allowed] = evaluator.costs(*asked, trials.smoothing)
-        slices.append(cost)
-        if time.perf_counter() > deadline:
-            break
-    return checked(np.concatenate(slices))
+    """(n, 2) the costs of rigs without a shortfall, by an evaluator of their objective. See Evaluator.costs."""
+    beaten = np.where(upper_bound[:, 0] > 0, np.inf, upper_bound[:, 1])
+    return of_objectives(evaluator.costs(poses, source, source_poses, beaten, smoothing))

@@ -144,7 +144,7 @@ class Solver(Model):
     Without a budget: 800 cycles of `abc`, as in the paper, or 100,000 evaluations of another method.
     """
 
-    method: Literal["auto", "abc", "annealing", "cmaes", "de"] = "auto"
+    method: Literal["auto", "abc", "annealing", "cmaes"] = "auto"
     bees: Annotated[int, Field(ge=2, le=1_000_000)] = 200  # abc: food sources
     limit: Annotated[int, Field(ge=1)] | None = None  # abc: failures of a source; default: bees × free dimensions
     cycles: Annotated[int, Field(ge=1)] | None = None

@@ -28,7 +28,16 @@ from lidarcfg.report.describe import counted, date, describe_objective, describe
 from lidarcfg.report.document import Commands
 from lidarcfg.report.html import KeyFigure, Table, render
 from lidarcfg.report.plots import CUT_OFF, new_figure, save_figure
-from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_history, write_text
+from lidarcfg.report.results import (
+    FRONT,
+    PAIR,
+    RESULTS,
+    fingerprint,
+    save_placement,
+    to_json,
+    write_history,
+    write_text,
+)
 from lidarcfg.report.text import DRAWN, truncate
 
 if TYPE_CHECKING:
@@ -38,7 +47,7 @@ if TYPE_CHECKING:
 STUDY = "study.yaml"
 POINT = (STUDY, *RESULTS)  # the files of a point
 # the arrays of search.npz: kind and dimensions
-LOG = {"cost": ("f", 1), "told": ("i", 1), "owner": ("i", 1), "seconds": ("f", 1), "asked": ("U", 0)}
+LOG = {"cost": ("f", 2), "told": ("i", 1), "owner": ("i", 1), "seconds": ("f", 1), "asked": ("U", 0)}
 PICTURES_MAX = 8  # of rigs, in a row
 PICTURE_IN = WIDTH_IN / PICTURES_MAX
 PLOT_IN = 3.4
@@ -168,7 +177,7 @@ def _is_log(arrays: Mapping[str, NDArray[Any]]) -> bool:
     if {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()} != LOG:
         return False
     cost, told, owner, seconds = (arrays[key] for key in ("cost", "told", "owner", "seconds"))
-    lengths = len(told) == len(owner) == len(seconds) > 0 and told.sum() == len(cost)
+    lengths = cost.shape[1] == PAIR and len(told) == len(owner) == len(seconds) > 0 and told.sum() == len(cost)
     return bool(
         lengths and (told >= 0).all() and not np.isnan(cost).any() and ((seconds >= 0) & (seconds < np.inf)).all()
     )

@@ -239,7 +239,8 @@ VERIFIED = ("verdict.json", "verdict.html")  # the files of a verification
 FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # the files of a front
 # The files of a search.
 RESULTS = (*PROGRESS, "result.json", "history.csv", "convergence.png", "rig.png", "report.html")
-LOG = {"cost": ("f", 1), "seconds": ("f", 0), "asked": ("U", 0)}  # kind and dimensions of the arrays of search.npz
+LOG = {"cost": ("f", 2), "seconds": ("f", 0), "asked": ("U", 0)}  # kind and dimensions of the arrays of search.npz
+PAIR = 2  # a cost: shortfall and objective
 
 
 def check_writable(folder: Path, names: Iterable[str]) -> None:
@@ -277,7 +278,8 @@ def load_log(study: Study, folder: Path) -> Log:
     except CloudError as error:
         raise ConfigError(str(error)) from None
     shapes = {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()}
-    if shapes != LOG or np.isnan(arrays["cost"]).any() or not 0 <= arrays["seconds"] < np.inf:
+    is_log = shapes == LOG and arrays["cost"].shape[1] == PAIR
+    if not is_log or np.isnan(arrays["cost"]).any() or not 0 <= arrays["seconds"] < np.inf:
         raise ConfigError(f"{path}: is not the log of a search")
     log = Log(arrays["cost"].astype(np.float64), float(arrays["seconds"]))
     asked = str(arrays["asked"])

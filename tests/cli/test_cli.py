@@ -371,11 +371,18 @@ def test_resuming_from_what_is_none(tmp_path, out):
     assert "search.npz: no such file" in one_line("optimize", STUDY, "--resume", tmp_path, "-o", tmp_path / "x")
     (tmp_path / "search.npz").write_text("no")
     assert "search.npz: not a whole npz file" in one_line("optimize", STUDY, "--resume", tmp_path)
-    good = {"cost": np.array([3.0, np.inf]), "seconds": np.float64(2), "asked": np.str_("x")}
+    good = {"cost": np.array([[0.0, 3.0], [2.0, np.inf]]), "seconds": np.float64(2), "asked": np.str_("x")}
     for key, odd in (
         *(
             ("cost", array)
-            for array in (np.float64(3), np.ones((2, 2)), np.array([1j]), np.array([True]), np.array([np.nan]))
+            for array in (
+                np.float64(3),
+                np.ones(2),
+                np.ones((2, 3)),
+                np.array([[1j, 1]]),
+                np.array([[True, True]]),
+                np.array([[0, np.nan]]),
+            )
         ),
         *(("seconds", number) for number in (np.float64(np.inf), np.float64(np.nan), np.float64(-1), np.ones(2))),
         ("asked", np.ones(1)),

@@ -244,8 +244,8 @@ OBJECTIVES = [
     ("objective", "method", "budget"),
     [
         *((one, "abc", "cycles: 4") for one in OBJECTIVES),
-        (OBJECTIVES[0], "de", "evaluations: 220"),
-        *(pytest.param(one, "de", "evaluations: 220", marks=pytest.mark.nightly) for one in OBJECTIVES[1:]),
+        (OBJECTIVES[0], "annealing", "evaluations: 220"),
+        *(pytest.param(one, "annealing", "evaluations: 220", marks=pytest.mark.nightly) for one in OBJECTIVES[1:]),
     ],
 )
 def test_skipping_changes_no_search(boxed, objective, method, budget):

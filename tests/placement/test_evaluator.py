@@ -148,14 +148,14 @@ OBJECTIVES = (
     "{max_vsr: 1, detection: {box: 0.05, drawn: 0.05}}",
     "{detection: {drawn: 0.7}}",
 )
-BY_NIGHT = ("de", OBJECTIVES[4]), ("abc", OBJECTIVES[5]), ("de", OBJECTIVES[5])
+BY_NIGHT = ("annealing", OBJECTIVES[4]), ("abc", OBJECTIVES[5]), ("annealing", OBJECTIVES[5])
 
 
 @pytest.mark.parametrize(
     ("method", "objective"),
     [
         pytest.param(*case, marks=[pytest.mark.nightly] * (case in BY_NIGHT))
-        for case in product(("abc", "de"), OBJECTIVES)
+        for case in product(("abc", "annealing"), OBJECTIVES)
     ],
 )
 def test_skipping_changes_nothing_for_any_objective(tmp_path, objective, method):
@@ -168,7 +168,7 @@ def test_skipping_changes_nothing_for_any_objective(tmp_path, objective, method)
     if method == "abc":
         study = with_solver(study, cycles=4 if few else 10)
     else:
-        study = with_solver(study, method="de", evaluations=220 if few else 300)
+        study = with_solver(study, method="annealing", evaluations=220 if few else 300)
     runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]
     trials = runs[0].full_evaluations
     assert trials == runs[0].evaluations + runs[0].first_evaluations + runs[0].scout_evaluations
@@ -177,7 +177,7 @@ def test_skipping_changes_nothing_for_any_objective(tmp_path, objective, method)
         assert run.objective == runs[0].objective
         assert history(run) == history(runs[0])
         assert (run.full_evaluations, run.cuboids) == (runs[1].full_evaluations, runs[1].cuboids)
-        assert run.full_evaluations < (0.7 if method == "abc" else 0.95) * trials  # 180 of 300 are de's first ones
+        assert run.full_evaluations < (0.7 if method == "abc" else 0.95) * trials
     poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in runs[0].rig.mounts])
     assert study.cost(poses) == runs[0].objective
 

@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.solvers.lshade import Lshade
 from lidarcfg.placement.study import load_study, with_solver
 
 STUDIES = Path(__file__).parents[2] / "data/studies"
@@ -25,14 +23,3 @@ def test_bees_find_the_same_rig(study, seed, objective, x):
     found = optimize(with_solver(load_study(study), method="abc", seed=seed, bees=20, evaluations=400))
     assert found.objective.hex() == objective
     assert found.rig.mounts[0].position_m[0].hex() == x
-
-
-def test_lshade_takes_the_same_path():
-    solver = Lshade(3, np.random.default_rng(7), 500)
-    best = np.inf
-    while not solver.over:
-        cost = ((solver.ask().x - 0.3) ** 2).sum(axis=1)
-        best = min(best, cost.min())
-        solver.tell(cost)
-    assert float(best).hex() == "0x1.7880903a8b624p-20"
-    assert float(solver.sources[0, 0]).hex() == "0x1.400c8353e3ca9p-1"

@@ -17,13 +17,11 @@ from lidarcfg.placement.combinations import distinct_options, options
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plain_rigs import PLAIN_MAX, plain_points
 from lidarcfg.placement.requirements_search import (
-    MET_MOST,
+    SHORTFALL_MOST,
     RequirementsEvaluator,
-    cost_of,
-    meets,
-    readable,
 )
 from lidarcfg.placement.search_run import INFEASIBLE
+from lidarcfg.placement.solvers.search import unbounded
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.sweep import Processes
 from lidarcfg.requirements.requirements import Requirements
@@ -63,6 +61,7 @@ requirements:
 {more}
 solver: {{method: annealing, evaluations: 150}}
 """
+CRATES = YARD[: YARD.index("  - name: most")] + YARD[YARD.index("{more}") :]
 SLIT = """
 region: {min_m: [-8, -8, 0], max_m: [8, 8, 4], cuboid_m: [1, 1, 1]}
 vehicle:
@@ -97,16 +96,22 @@ def yard(study, returns=20, lost=0, more=""):
     return study(YARD, returns=returns, lost=lost, more=more)
 
 
-def test_costs_are_lexicographic():
-    shortfalls = [1e-12, 1e-3, 0.5, 3.0, 1e9]
-    wanted = [0.0, 1e-6, 0.3, 7.0, 1e5]
-    met = [cost_of(0.0, one) for one in wanted]
-    unmet = [cost_of(one, 5.0) for one in shortfalls]
-    assert sorted(met + unmet) == met + unmet
-    assert unmet[-1] < INFEASIBLE
-    assert all(map(meets, met))
-    assert not any(map(meets, unmet))
-    assert [readable(one) for one in met] == wanted  # to the last bit
+def test_costs_are_lexicographic(study):
+    """Shortfall first; the margin counts among rigs that meet all, and no shortfall is as bad as a broken constraint."""
+    text = CRATES.replace("[0.5, 0.5, 1]", "[1, 1, 1]").replace("[1, 2]", "[1, 2.5]")
+    one = study(text, returns=60, lost=0, more="")
+    poses = one.poses(plain_points(one))
+    with RequirementsEvaluator(one, 1) as evaluator:
+        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], unbounded(len(poses)))
+        short = np.array([sum(evaluator.shortfalls(row)) for row in poses])
+    met = short == 0
+    assert 0 < met.sum() < len(met)
+    assert costs[~met].tolist() == [[each, math.inf] for each in short[~met].tolist()]
+    for row, (shortfall, objective) in zip(poses[met], costs[met].tolist(), strict=True):
+        verdict = Verifier(one.requirements).verify(one.rig(row).mounts)
+        assert shortfall == 0
+        assert objective <= min(1, 1 / (1 + verdict.least_margin))  # which counts the refined places, too
+    assert SHORTFALL_MOST < INFEASIBLE
 
 
 NEARER = """  - name: the same crates nearer
@@ -188,7 +193,7 @@ objective: {max_vsr: 1}
 def test_skipping_and_threads_change_nothing(study, more, robust):
     one = with_solver(yard(study, returns=4, more=more), evaluations=24 if robust else 64)
     found = optimize(one, threads=2)
-    kept = found.log.cost < math.inf  # what was to beat was beaten
+    kept = found.log.cost[:, 0] < math.inf  # what was to beat was beaten
     for other in (optimize(one, threads=1), optimize(one, threads=2, skip=False)):
         assert (other.log.cost[kept] == found.log.cost[kept]).all()
         assert other.rig == found.rig
@@ -214,14 +219,12 @@ def test_no_result_is_worse_than_the_best_plain_rig(study):
     assert (poses <= one.upper + 1e-12).all()
     assert (poses[1:, :, 3:5] == 0).all()  # upright
     with RequirementsEvaluator(one, 2) as evaluator:
-        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], np.full(len(poses), np.inf))
+        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], unbounded(len(poses)))
     found = optimize(with_solver(one, evaluations=1), threads=2)
     told = found.log.cost[: len(points)]
-    assert told[told < math.inf].tolist() == costs[told < math.inf].tolist()
-    assert told.min() == costs.min()  # the others were given up where they could not beat those before
-
-
-CRATES = YARD[: YARD.index("  - name: most")] + YARD[YARD.index("{more}") :]
+    known = told[:, 0] < math.inf
+    assert told[known].tolist() == costs[known].tolist()
+    assert min(told.tolist()) == min(costs.tolist())  # the others were given up where they could not beat those before
 
 
 def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
@@ -231,13 +234,13 @@ def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
     poses = one.poses(plain_points(one))
     index = np.zeros(1, np.int64)
     with RequirementsEvaluator(one, 1, skip=False) as evaluator:
-        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], np.full(len(poses), np.inf))
-    met = np.flatnonzero(costs < cost_of(0.0, 0.5))  # of more than twice the returns
+        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], unbounded(len(poses)))
+    met = np.flatnonzero(costs[:, 1] < 0.5)  # of more than twice the returns
     assert len(met)
     for number in met.tolist():
         with RequirementsEvaluator(one, 1) as evaluator:
-            limit = np.array([1.001 * costs[number]])
-            assert evaluator.costs(poses[[number]], index, poses[:1], limit)[0] == costs[number]
+            limit = 1.001 * costs[[number]]
+            assert evaluator.costs(poses[[number]], index, poses[:1], limit)[0].tolist() == costs[number].tolist()
 
 
 def test_a_search_at_a_few_places_is_verified_at_all(study, monkeypatch):
@@ -280,8 +283,8 @@ def test_the_search_looks_through_the_slit(study):
     assert 0.9 < found.rig.mounts[0].position_m[0] < 1.9
     with RequirementsEvaluator(one, 1) as evaluator:
         poses = one.poses(plain_points(one))
-        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], np.full(len(poses), np.inf))
-    assert (costs > MET_MOST).all()  # no plain rig does
+        costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], unbounded(len(poses)))
+    assert (costs[:, 0] > 0).all()  # no plain rig does
 
 
 CHOICE = """

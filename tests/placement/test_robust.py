@@ -87,10 +87,10 @@ WEIGHTED = [
 ]
 
 
-@pytest.mark.parametrize(("method", "more"), [*product(["abc", "de"], MAX_VSR), *product(["abc"], WEIGHTED)])
+@pytest.mark.parametrize(("method", "more"), [*product(["abc", "annealing"], MAX_VSR), *product(["abc"], WEIGHTED)])
 def test_skipping_changes_nothing(tmp_path, method, more):
     loaded = study(tmp_path, more)
-    loaded = with_solver(loaded, method=method, **({"evaluations": 300} if method == "de" else {"cycles": 4}))
+    loaded = with_solver(loaded, method=method, **({"evaluations": 300} if method == "annealing" else {"cycles": 4}))
     runs = [optimize(loaded, threads=threads, skip=skip) for threads, skip in ((1, False), (2, True))]
     assert runs[1].rig == runs[0].rig
     assert [(c.cycle, c.best, c.mean) for c in runs[1].history] == [(c.cycle, c.best, c.mean) for c in runs[0].history]
@@ -110,7 +110,7 @@ vehicle: {boxes: [{name: body, center_m: [0, 0, 0.8], size_m: [3.8, 1.8, 1.6], e
 detection: [{name: post, size_m: [0.3, 0.2, 1], returns: 12, step_m: 4, headings_deg: [0]}]
 objective: {max_vsr: 1, detection: {post: 1}}
 robust: {lost: 1}
-solver: {method: de, evaluations: 60}
+solver: {method: annealing, evaluations: 60}
 """
 
 

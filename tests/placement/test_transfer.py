@@ -5,6 +5,7 @@ import pytest
 
 from lidarcfg.placement.combinations import STARTS_MAX, Example, combinations, starts
 from lidarcfg.placement.solvers.cma_es import WarmStart
+from lidarcfg.placement.solvers.search import of_objectives
 from lidarcfg.placement.study import load_study
 
 STUDY = """region: {min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25]}
@@ -63,7 +64,7 @@ def test_the_search_goes_on_from_the_best_start():
     while not search.over and asked < 3000:
         x = search.ask().x
         asked += len(x)
-        search.tell(((x - target) ** 2).sum(axis=1))
+        search.tell(of_objectives(((x - target) ** 2).sum(axis=1)))
     assert search.over
     assert search.best_x == pytest.approx(target, abs=1e-4)
     assert asked < 1500

@@ -41,7 +41,7 @@ OBJECTIVES = {
     "robust": "robust: {lost: 1}",
     "zones": "zones: [{name: near, min_m: [-2, -2, 0], max_m: [2, 2, 2], weight: 3}]",
 }
-METHODS = ("abc", "cmaes", "de", "annealing")
+METHODS = ("abc", "cmaes", "annealing")
 
 
 def study_of(folder, method, objective, without="none"):

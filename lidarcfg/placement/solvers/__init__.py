@@ -1,7 +1,7 @@
 """The solvers, by the name that a study gives them. Each is imported when it is used.
 
-To read in this order: `search` is the protocol; `bee_colony`, `cma_es`, `lshade` and `annealing` are an algorithm each;
-`auto`, the default, combines two of them.
+To read in this order: `search` is the protocol; `bee_colony`, `cma_es` and `annealing` are an algorithm each; `auto`,
+the default, combines two of them.
 
 A new solver is a module here with a class that implements `search.Search`: `ask` gives trials in the unit cube, `tell`
 gets their costs, and `sources`, `mean_cost`, `cycles`, `best_x` and `best_cost` say how far it is. `search.Best` and
@@ -34,12 +34,6 @@ def _cmaes(coordinates: Coordinates, solver: Solver, start: Array | None) -> Sea
     return CmaEs(len(coordinates), solver.seed, start)
 
 
-def _de(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
-    from lidarcfg.placement.solvers.lshade import LshadeRestarts
-
-    return LshadeRestarts(len(coordinates), solver.seed)
-
-
 def _annealing(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
     from lidarcfg.placement.solvers.annealing import AnnealingRounds
 
@@ -51,13 +45,12 @@ SOLVERS: dict[str, Callable[[Coordinates, Solver, Array | None], Search]] = {
     "abc": _abc,
     "annealing": _annealing,
     "cmaes": _cmaes,
-    "de": _de,
 }
 
 
 def start_search(solver: Solver, coordinates: Coordinates, start: Array | None = None) -> Search:
     """The search that a study's solver settings describe, over some coordinates.
 
-    `start` (dimensions,): a good point, near which solvers begin that begin near one; `abc` and `de` do not.
+    `start` (dimensions,): a good point, near which solvers begin that begin near one; `abc` does not.
     """
     return SOLVERS[solver.method](coordinates, solver, start)

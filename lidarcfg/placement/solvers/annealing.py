@@ -2,8 +2,9 @@
 
 A chain moves uphill too (Metropolis 1953; Kirkpatrick 1983), by how much is drawn before the trial: it takes a trial
 whose cost is below cost × exp(T × Exp(1)), which is what the rule that draws afterwards comes to, on the logarithm of
-the cost. So an evaluator may refute a trial as soon as it is known not to be below that. A step is Gaussian, of any
-size, or a difference between two chains (ter Braak 2006).
+the cost; so of the shortfall as long as a chain has one, then of the objective. So an evaluator may refute a trial as
+soon as it is known not to be below that. A step is Gaussian, of any size, or a difference between two chains (ter Braak
+2006).
 
 Or a group learns from another one, of its own chain or of a second: it takes over some coordinates that mean the same
 there, nearly. For groups of a good point are alike in part: of the best rigs known, most have two or three LiDARs that
@@ -25,7 +26,19 @@ from numpy.typing import NDArray
 
 from lidarcfg import maths
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.search import Coordinates, Runs, Trials, checked
+from lidarcfg.placement.solvers.search import (
+    NO_COST,
+    Coordinates,
+    Runs,
+    Trials,
+    checked,
+    cost_of,
+    is_below,
+    least,
+    mean,
+    order,
+    unbounded,
+)
 
 CHAINS = 16  # of a population
 POPULATIONS = 3  # of a round
@@ -78,7 +91,7 @@ class Annealing:
         self._x = rng.random((populations * CHAINS, len(coordinates)))
         if start is not None:
             self._x[:] = start
-        self._cost = np.full(len(self._x), np.inf)
+        self._cost = unbounded(len(self._x))
         self._hot = T_START if start is None else T_RESTART
         self._work = work / CHAINS  # of each
         self.over = False
@@ -92,7 +105,7 @@ class Annealing:
     @property
     def mean_cost(self) -> float:
         """The mean cost of the chains."""
-        return float(self._cost.mean())
+        return mean(self._cost)
 
     @property
     def progress(self) -> float:
@@ -109,13 +122,13 @@ class Annealing:
         return self._asked
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of the trials, in order; inf stands for any cost not below what was to beat."""
+        """The costs (n, 2) of the trials, in order; (inf, inf) stands for any cost not below what was to beat."""
         trials = self._asked
         cost = checked(cost)
         if trials.smoothing != self._smoothing:
             self._go_on(cost)
             return
-        taken = np.flatnonzero(cost < trials.upper_bound)
+        taken = np.flatnonzero(is_below(cost, trials.upper_bound))
         chain, first = np.unique(trials.source[taken], return_index=True)
         self._x[chain] = trials.x[taken[first]]
         self._cost[chain] = cost[taken[first]]
@@ -134,22 +147,22 @@ class Annealing:
     def _positions(self, smoothing: float) -> Trials:
         """Where the chains are, to be evaluated whatever they cost."""
         chains = len(self._x)
-        return Trials("trial", self._x.copy(), np.arange(chains), np.full(chains, np.inf), smoothing)
+        return Trials("trial", self._x.copy(), np.arange(chains), unbounded(chains), smoothing)
 
     def _renew(self) -> None:
         """Move the worst chains of each population to where its best are."""
         for first in range(0, len(self._x), CHAINS):
-            order = first + np.argsort(self._cost[first : first + CHAINS], kind="stable")
-            worst = order[-RENEWED:]
-            best = order[:RENEWED]
+            ranked = first + order(self._cost[first : first + CHAINS])
+            worst = ranked[-RENEWED:]
+            best = ranked[:RENEWED]
             self._x[worst] = self._x[best]
             self._cost[worst] = self._cost[best]
 
     def _go_on(self, cost: Array) -> None:
-        """Draw the next trials; from SELECTION_PROGRESS on, of the population with the least cost (chains,) alone."""
+        """Draw the next trials; from SELECTION_PROGRESS on, of the population with the least cost (chains, 2) alone."""
         self.over = self._done >= self._work
         if self.progress >= SELECTION_PROGRESS and len(self._x) > CHAINS:
-            first = int(np.argmin(cost)) // CHAINS * CHAINS
+            first = least(cost) // CHAINS * CHAINS
             self._x = self._x[first : first + CHAINS]
             self._cost = self._cost[first : first + CHAINS]
         self._asked = self._draw()
@@ -179,7 +192,8 @@ class Annealing:
         x = 1.0 - np.abs(1.0 - np.abs(x))  # reflected by the walls
         cost = self._cost[chain]
         with np.errstate(over="ignore", invalid="ignore"):
-            upper_bound = cost + np.abs(cost) * (maths.exp(self.temperature * rng.exponential(size=n)) - 1)
+            uphill = maths.exp(self.temperature * rng.exponential(size=n)) - 1
+            upper_bound = cost + np.abs(cost) * uphill[:, None]
         upper_bound = np.where(np.isnan(upper_bound), np.inf, upper_bound)
         return Trials("trial", np.clip(x, 0.0, 1.0), chain, upper_bound, self._smoothing)
 
@@ -204,8 +218,8 @@ class AnnealingRounds(Runs):
         self._coordinates = coordinates
         self.rounds = 0  # begun
         self._end_x = self.best_x  # the best of the current round
-        self._end = np.inf  # its cost
-        self._record = np.inf  # the best end of a round before
+        self._end = NO_COST  # its cost
+        self._record = NO_COST  # the best end of a round before
         self._run = self._round() if start is None else self._refining(start)
 
     @property
@@ -215,7 +229,7 @@ class AnnealingRounds(Runs):
 
     def _round(self) -> Annealing:
         self._refines = False
-        self._end = np.inf
+        self._end = NO_COST
         self.rounds += 1
         smoothing = SMOOTHING if self.rounds > 1 else 0.0
         return Annealing(self._coordinates, self._rng, self._work, None, smoothing, POPULATIONS)
@@ -225,12 +239,12 @@ class AnnealingRounds(Runs):
         return Annealing(self._coordinates, self._rng, REFINING * self._work, start)
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of the trials."""
+        """The costs (n, 2) of the trials."""
         trials = self.ask()
-        best = int(np.argmin(checked(cost)))
-        if cost[best] < self._end and not trials.smoothing:
+        best = least(checked(cost))
+        if cost_of(cost[best]) < self._end and not trials.smoothing:
             self._end_x = trials.x[best].copy()
-            self._end = float(cost[best])
+            self._end = cost_of(cost[best])
         super().tell(cost)
 
     def _follow(self) -> None:

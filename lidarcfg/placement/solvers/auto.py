@@ -10,7 +10,7 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.annealing import AnnealingRounds
 from lidarcfg.placement.solvers.cma_es import CmaEs
-from lidarcfg.placement.solvers.search import Best, Coordinates, Trials
+from lidarcfg.placement.solvers.search import Best, Coordinates, Trials, mean, unbounded
 
 POINTS = 200  # at random, then CMA-ES from the best of them
 POPULATION = 30  # of CMA-ES
@@ -42,14 +42,14 @@ class Auto(Best):
         """Random points, or the next trials of the current run."""
         if self._run:
             return self._run.ask()
-        return Trials("trial", self._points, np.zeros(POINTS, np.int64), np.full(POINTS, np.inf))
+        return Trials("trial", self._points, np.zeros(POINTS, np.int64), unbounded(POINTS))
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of the trials."""
+        """The costs (n, 2) of the trials."""
         best = self.keep_best(self.ask().x, cost)
         self.cycles += 1
         if self._run is None:
-            self.mean_cost = float(np.mean(cost))
+            self.mean_cost = mean(cost)
             self._run = CmaEs(len(self._coordinates), self._seed(), best, STEP, POPULATION)
             return
         self._run.tell(cost)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.search import Trials, checked
+from lidarcfg.placement.solvers.search import NO_COST, Trials, checked, cost_of, mean, numbers, unbounded
 
 
 class BeeColony:
@@ -22,10 +22,10 @@ class BeeColony:
         self._rng = np.random.default_rng(seed)
         self._limit = limit
         self.x = self._rng.random((bees, dimensions))
-        self.cost = np.full(bees, np.inf)
+        self.cost = unbounded(bees)
         self.failures = np.zeros(bees, np.int64)
         self.best_x = self.x[0]
-        self.best_cost = np.inf
+        self.best_cost = NO_COST
         self.cycles = 0
         self._asked = Trials("first", self.x, np.arange(bees), self.cost.copy())
 
@@ -37,17 +37,18 @@ class BeeColony:
     @property
     def mean_cost(self) -> float:
         """The mean cost of the sources."""
-        return float(self.cost.mean())
+        return mean(self.cost)
 
     def ask(self) -> Trials:
         """The trials of the current phase."""
         return self._asked
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of the trials, in order."""
+        """The costs (n, 2) of the trials, in order."""
         trials = self._asked
-        for x, source, value in zip(trials.x, trials.source, checked(cost), strict=True):
-            if trials.phase in ("first", "scout") or value < self.cost[source]:
+        for x, source, row in zip(trials.x, trials.source, checked(cost), strict=True):
+            value = cost_of(row)
+            if trials.phase in ("first", "scout") or value < cost_of(self.cost[source]):
                 self.x[source] = x
                 self.cost[source] = value
                 self.failures[source] = 0
@@ -55,7 +56,7 @@ class BeeColony:
                 self.failures[source] += 1
             if value < self.best_cost:
                 self.best_x = x.copy()
-                self.best_cost = float(value)
+                self.best_cost = value
         self._asked = self._next(trials.phase)
 
     def _next(self, phase: str) -> Trials:
@@ -65,13 +66,16 @@ class BeeColony:
         exhausted = np.flatnonzero(self.failures >= self._limit)
         if phase == "onlooker" and len(exhausted):
             fresh = self._rng.random((len(exhausted), self.x.shape[1]))
-            return Trials("scout", fresh, exhausted, np.full(len(exhausted), np.inf))
+            return Trials("scout", fresh, exhausted, unbounded(len(exhausted)))
         self.cycles += phase != "first"
         return self._move("employed", everyone)
 
     def choose(self, count: int) -> NDArray[np.int64]:
-        """Roulette: `count` sources by P_i = fit_i / Σ fit (paper, eq. 11), with fit = 1 / (1 + cost)."""
-        fit = 1.0 / (1.0 + self.cost)
+        """Roulette: `count` sources by P_i = fit_i / Σ fit (paper, eq. 11), with fit = 1 / (1 + cost).
+
+        The cost is the shortfall of a source that has one, else its objective.
+        """
+        fit = 1.0 / (1.0 + numbers(self.cost))
         wheel = np.cumsum(fit)
         spin = self._rng.random(count) * wheel[-1]
         chosen: NDArray[np.int64] = np.minimum(np.searchsorted(wheel, spin, "right"), len(fit) - 1)

@@ -5,10 +5,11 @@ import numpy as np
 
 from lidarcfg import maths
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.search import Best, Trials
+from lidarcfg.placement.solvers.search import Best, Trials, mean, unbounded
 
 STEP = 0.25  # the initial standard deviation, in the unit cube
 HUGE = 1e300  # stands for inf, as cma subtracts costs
+UNMET = 2.0**20  # is added to shortfalls; no objective exceeds it
 NEAR_STEP = 0.08  # around a good point
 NEAR_POPULATION = 12
 FEWEST = 2  # dimensions that cma needs; a single one gets a dummy dimension beside it
@@ -54,13 +55,13 @@ class CmaEs(Best):
     def ask(self) -> Trials:
         """The next generation."""
         n = len(self._asked)
-        return Trials("trial", np.array(self._asked)[:, : self._dimensions], np.zeros(n, np.int64), np.full(n, np.inf))
+        return Trials("trial", np.array(self._asked)[:, : self._dimensions], np.zeros(n, np.int64), unbounded(n))
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of the generation."""
+        """The costs (n, 2) of the generation."""
         self.keep_best(self.ask().x, cost)
-        self._es.tell(self._asked, list(np.minimum(cost, HUGE)))
-        self.mean_cost = float(np.mean(cost))
+        self._es.tell(self._asked, ranked(cost))
+        self.mean_cost = mean(cost)
         self.cycles += 1
         self.over = bool(self._es.stop())
         if self.over:
@@ -68,6 +69,12 @@ class CmaEs(Best):
             self._begin(self._rng.random(self._dimensions))
         else:
             self._asked = self._es.ask()
+
+
+def ranked(cost: Array) -> list[float]:
+    """Costs (n, 2) as numbers of the same order, which is all that matters to CMA-ES."""
+    number = np.where(cost[:, 0] > 0, UNMET + cost[:, 0], cost[:, 1])
+    return list(np.minimum(number, HUGE))
 
 
 class WarmStart(Best):
@@ -93,12 +100,12 @@ class WarmStart(Best):
         if self._run:
             return self._run.ask()
         n = len(self._starts)
-        return Trials("trial", self._starts, np.zeros(n, np.int64), np.full(n, np.inf))
+        return Trials("trial", self._starts, np.zeros(n, np.int64), unbounded(n))
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of the trials."""
+        """The costs (n, 2) of the trials."""
         best = self.keep_best(self.ask().x, cost)
-        self.mean_cost = float(np.mean(cost))
+        self.mean_cost = mean(cost)
         self.cycles += 1
         if self._run:
             self._run.tell(cost)

@@ -6,7 +6,7 @@ from scipy.stats import kstest
 
 from lidarcfg.placement.solvers import annealing
 from lidarcfg.placement.solvers.annealing import ACCEPT_WORK, LEARNING, OWN, Annealing, AnnealingRounds
-from lidarcfg.placement.solvers.search import Coordinates
+from lidarcfg.placement.solvers.search import Coordinates, of_objectives
 
 GROUPS = np.array([0, 0, 0, 2, 2, 7])
 COORDINATES = Coordinates(GROUPS, np.array([1, 2, 3, 1, 3, 9]))  # the first two groups have two kinds in common
@@ -20,7 +20,7 @@ def sphere(x):
 
 def started(coordinates=COORDINATES, work=10**9, seed=1, start=None):
     run = Annealing(coordinates, np.random.default_rng(seed), work, start)
-    run.tell(sphere(run.ask().x))
+    run.tell(of_objectives(sphere(run.ask().x)))
     return run
 
 
@@ -29,16 +29,16 @@ def test_chains_begin_at_random_points_and_go_there_whatever_they_cost():
     begin = run.ask()
     assert begin.x.shape == (16, 6)
     assert np.isinf(begin.upper_bound).all()
-    run.tell(np.where(np.arange(16) % 2, np.inf, 5.0))
+    run.tell(of_objectives(np.where(np.arange(16) % 2, np.inf, 5.0)))
     assert np.array_equal(run.sources, begin.x)
     asked = run.ask()
     assert np.isinf(asked.upper_bound[asked.source % 2 == 1]).all()
-    assert (asked.upper_bound[asked.source % 2 == 0] > 5).all()
+    assert (asked.upper_bound[asked.source % 2 == 0, 1] > 5).all()
 
 
 def test_a_trial_moves_coordinates_of_one_group():
     run = started()
-    run.tell(np.full(16, np.inf))
+    run.tell(of_objectives(np.full(16, np.inf)))
     asked = run.ask()
     moved = asked.x != run.sources[asked.source]
     assert moved.any(axis=1).all()
@@ -51,7 +51,7 @@ def test_a_trial_moves_coordinates_of_one_group():
 def test_the_fewer_trials_are_taken_the_more_of_them_a_chain_has_at_a_time(taken, trials):
     """So many that one in two chains takes one; up to 8."""
     run = started()
-    run.tell(np.where(np.arange(16) < taken, 0.5, np.inf))
+    run.tell(of_objectives(np.where(np.arange(16) < taken, 0.5, np.inf)))
     assert run.ask().source.tolist() == [chain for chain in range(16) for _ in range(trials)]
 
 
@@ -61,8 +61,8 @@ def test_what_a_trial_has_upper_bound_is_drawn_from_the_rule_of_metropolis():
     uphill = []
     for _ in range(50):
         asked = run.ask()
-        uphill.append(np.log(asked.upper_bound / sphere(run.sources[asked.source])) / run.temperature)
-        run.tell(np.full(len(asked.x), np.inf))
+        uphill.append(np.log(asked.upper_bound[:, 1] / sphere(run.sources[asked.source])) / run.temperature)
+        run.tell(of_objectives(np.full(len(asked.x), np.inf)))
     drawn = np.concatenate(uphill)
     assert kstest(drawn, "expon").pvalue > 1e-3
     ratio = 1 + run.temperature / 2
@@ -70,16 +70,35 @@ def test_what_a_trial_has_upper_bound_is_drawn_from_the_rule_of_metropolis():
     assert taken.mean() == pytest.approx(ratio ** (-1 / run.temperature), abs=0.02)
 
 
+def test_a_chain_that_falls_short_goes_uphill_by_its_shortfall():
+    """It takes what falls short by less than shortfall × exp(T × Exp(1)), whatever its objective; the others as before."""
+    run = Annealing(COORDINATES, np.random.default_rng(1), 10**9)
+    cost = of_objectives(np.full(16, 0.25))
+    cost[8:] = 4.0, np.inf
+    run.tell(cost)
+    asked = run.ask()
+    short = asked.source >= 8
+    assert (asked.upper_bound[~short, 0] == 0).all()
+    assert (asked.upper_bound[~short, 1] > 0.25).all()
+    assert (asked.upper_bound[short, 0] > 4).all()
+    told = np.tile([np.inf, np.inf], (len(asked.x), 1))
+    told[short] = asked.upper_bound[short, 0, None] * [0.999, np.inf]
+    told[~short] = 0.001, np.inf  # none of those that meet all takes what does not
+    run.tell(told)
+    assert np.array_equal(run.sources[8:], asked.x[short])
+    assert not (run.sources[:8, None] == asked.x).all(axis=2).any()
+
+
 def test_the_first_trial_that_a_chain_takes_moves_it():
     run = started()
-    run.tell(np.full(16, np.inf))
+    run.tell(of_objectives(np.full(16, np.inf)))
     before = run.sources.copy()
     asked = run.ask()
     cost = np.full(128, np.inf)
-    cost[17] = asked.upper_bound[17] * 0.999
+    cost[17] = asked.upper_bound[17, 1] * 0.999
     cost[18] = 0.5  # both of chain 2
-    cost[40] = asked.upper_bound[40]  # of chain 5, and no better than what it had to beat
-    run.tell(cost)
+    cost[40] = asked.upper_bound[40, 1]  # of chain 5, and no better than what it had to beat
+    run.tell(of_objectives(cost))
     assert np.array_equal(run.sources[2], asked.x[17])
     assert np.array_equal(np.delete(run.sources, 2, axis=0), np.delete(before, 2, axis=0))
     assert run.mean_cost == pytest.approx((sphere(before).sum() - sphere(before[2:3])[0] + cost[17]) / 16)
@@ -89,12 +108,12 @@ def test_half_of_the_other_steps_are_differences_of_two_chains(monkeypatch):
     """Chains on a line: a difference goes along it, but for its jitter."""
     monkeypatch.setattr(annealing, "LEARNING", (0.0, 0.0))
     run = Annealing(Coordinates(np.zeros(2, int), np.arange(2)), np.random.default_rng(4), 10**9)
-    run.tell(np.ones(16))
-    run.tell(np.full(16, np.inf))
+    run.tell(of_objectives(np.ones(16)))
+    run.tell(of_objectives(np.full(16, np.inf)))
     run.sources[:] = np.linspace(0.4, 0.6, 16)[:, None]
     off = []
     for _ in range(40):
-        run.tell(np.full(len(run.ask().x), np.inf))
+        run.tell(of_objectives(np.full(len(run.ask().x), np.inf)))
         step = run.ask().x - run.sources[run.ask().source]
         off.append(np.abs(step[:, 0] - step[:, 1]))
     assert (np.concatenate(off) < 1e-3).mean() == pytest.approx(0.5, abs=0.1)
@@ -111,9 +130,9 @@ def learned(coordinates, monkeypatch):
     steps = []
     trials = 0
     count = len(coordinates)
-    run.tell(np.ones(16))
+    run.tell(of_objectives(np.ones(16)))
     run.sources[:] = np.random.default_rng(6).permutation(np.linspace(0.05, 0.95, 16 * count)).reshape(16, count)
-    run.tell(np.full(16, np.inf))
+    run.tell(of_objectives(np.full(16, np.inf)))
     for _ in range(40):
         asked = run.ask()
         for x, chain in zip(asked.x, asked.source, strict=True):
@@ -122,7 +141,7 @@ def learned(coordinates, monkeypatch):
             moved = np.flatnonzero(np.abs(x - run.sources[chain]) > 1e-9)
             if moved.size and all(len(near[c]) for c in moved):
                 steps.append([((chain, int(c)), (int(near[c][0, 0]), int(near[c][0, 1]))) for c in moved])
-        run.tell(np.full(len(asked.x), np.inf))
+        run.tell(of_objectives(np.full(len(asked.x), np.inf)))
     return steps, trials
 
 
@@ -157,9 +176,9 @@ def test_what_means_the_same_nowhere_else_is_taken_over_from_a_second_chain(monk
 def test_the_worst_chains_of_a_population_go_on_from_where_its_best_are(populations):
     run = Annealing(COORDINATES, np.random.default_rng(3), 10**6, populations=populations)
     begin = run.ask().x
-    run.tell(1.0 + np.arange(16 * populations))
+    run.tell(of_objectives(1.0 + np.arange(16 * populations)))
     while np.array_equal(run.sources, begin):
-        run.tell(np.full(len(run.ask().x), np.inf))
+        run.tell(of_objectives(np.full(len(run.ask().x), np.inf)))
     for now, before in zip(np.split(run.sources, populations), np.split(begin, populations), strict=True):
         assert np.array_equal(now[:14], before[:14])
         assert np.array_equal(now[14:], before[:2])
@@ -170,14 +189,14 @@ def test_populations_do_not_learn_from_each_other(monkeypatch):
     monkeypatch.setattr(annealing, "STEP_LEAST", 1e-12)
     monkeypatch.setattr(annealing, "STEP_MOST", 1e-12)
     run = Annealing(ALIKE, np.random.default_rng(5), 10**9, populations=3)
-    run.tell(np.ones(48))
+    run.tell(of_objectives(np.ones(48)))
     run.sources[:] = np.repeat([0.2, 0.5, 0.8], 16)[:, None]
-    run.tell(np.full(48, np.inf))
+    run.tell(of_objectives(np.full(48, np.inf)))
     for _ in range(20):
         asked = run.ask()
         assert set(asked.source) == set(range(48))
         assert np.abs(asked.x - run.sources[asked.source]).max() < 1e-3  # ten times JITTER
-        run.tell(np.full(len(asked.x), np.inf))
+        run.tell(of_objectives(np.full(len(asked.x), np.inf)))
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.1])
@@ -192,8 +211,8 @@ def test_only_the_best_population_ends_a_round(smoothing):
         alone = len(run.sources) == 16
         population = np.full(len(asked.x), best) if alone else asked.source // 16
         ranks = np.array([3.0, 1.0, 2.0] if asked.smoothing or not smoothing else [2.0, 3.0, 1.0])
-        start = np.isinf(asked.upper_bound).all()
-        run.tell(np.where(start, ranks[population], np.inf))
+        start = np.isinf(asked.upper_bound[:, 1]).all()
+        run.tell(of_objectives(np.where(start, ranks[population], np.inf)))
         seen.append((run.progress, len(run.sources)))
         if len(run.sources) < len(before):
             assert np.array_equal(run.sources, before[16 * best : 16 * best + 16])
@@ -213,7 +232,7 @@ def test_it_cools_evenly_by_a_chain_s_work_to_half_a_thousandth(start, hot):
         log_t.append(np.log(run.temperature))
         cost = np.where(taken.random(len(asked.x)) < taken.random(), 0.5, np.inf)
         work.append((len(asked.x) + 10 * np.isfinite(cost).sum()) / len(np.unique(asked.source)))
-        run.tell(cost)
+        run.tell(of_objectives(cost))
     log_t.append(np.log(run.temperature))
     step = np.diff(log_t) / work
     assert len(set(work)) > 3
@@ -234,14 +253,14 @@ def works(solver, rounds, ends):
     runs = []
     while solver.rounds < rounds:
         asked = solver.ask()
-        if np.isinf(asked.upper_bound).all():
+        if np.isinf(asked.upper_bound[:, 1]).all():
             runs.append([solver.rounds, 0])
         cost = np.full(len(asked.x), np.inf)
         if not runs[-1][1]:
             cost[:] = 10.0
             cost[3] = ends[solver.rounds - 1]
         runs[-1][1] += len(asked.x) + ACCEPT_WORK * np.isfinite(cost).sum()
-        solver.tell(cost)
+        solver.tell(of_objectives(cost))
     return runs
 
 
@@ -257,7 +276,7 @@ def test_rounds_become_longer_and_the_best_end_so_far_is_refined(monkeypatch):
     expected = [4800, 500, 100_800, 151_200, 15_750, 226_800, 340_200, 35_437.5]
     for (_, work), wanted in zip(runs, expected, strict=True):
         assert wanted <= work < wanted + 8 * 48  # as many trials at a time
-    assert solver.best_cost == 3.0
+    assert solver.best_cost == (0, 3)
 
 
 def test_a_given_point_is_refined_before_the_first_round():
@@ -278,14 +297,14 @@ def test_with_smoothing_it_asks_at_times_what_its_chains_cost_without():
         asked = run.ask()
         if asked.smoothing:
             assert asked.smoothing == 0.1
-            run.tell(1.5 * sphere(asked.x))
+            run.tell(of_objectives(1.5 * sphere(asked.x)))
             continue
         asked_without.append(run.progress)
         before = run.sources.copy()
         mean = run.mean_cost
         assert np.array_equal(asked.x, before)
-        assert np.isinf(asked.upper_bound).all()
-        run.tell(sphere(asked.x))
+        assert np.isinf(asked.upper_bound[:, 1]).all()
+        run.tell(of_objectives(sphere(asked.x)))
         assert np.array_equal(run.sources, before)
         assert run.mean_cost == mean
     assert asked_without[-1] == 1.0
@@ -299,7 +318,7 @@ def test_rounds_but_the_first_smooth_and_the_best_cost_that_counts_is_refined(mo
     ends = []
     while solver.rounds < 2:
         assert solver.ask().smoothing == 0.0
-        solver.tell(2 * sphere(solver.ask().x))
+        solver.tell(of_objectives(2 * sphere(solver.ask().x)))
     while len(np.unique(solver.ask().x, axis=0)) > 1:
         asked = solver.ask()
         assert asked.smoothing in (0.0, annealing.SMOOTHING)
@@ -307,7 +326,7 @@ def test_rounds_but_the_first_smooth_and_the_best_cost_that_counts_is_refined(mo
         if not asked.smoothing:
             best = int(np.argmin(cost))
             ends.append((cost[best], asked.x[best]))
-        solver.tell(cost)
+        solver.tell(of_objectives(cost))
     refined = solver.ask()
     assert (solver.rounds, refined.smoothing) == (2, 0.0)
     assert np.array_equal(refined.x[0], min(ends, key=lambda end: end[0])[1])
@@ -321,5 +340,5 @@ def test_it_climbs_out_of_basins():
         y = 10.24 * (run.ask().x - 0.4)
         cost = 1 + (y**2 - 10 * np.cos(2 * np.pi * y) + 10).sum(axis=1)
         found = min(found, cost.min())
-        run.tell(cost)
+        run.tell(of_objectives(cost))
     assert found < 1.01
