@@ -67,6 +67,11 @@ class Objective(Model):
     blind_spot_m: BlindSpotObjective | None = None
 
     @property
+    def is_misses(self) -> bool:
+        """Whether it is misses alone."""
+        return self.misses is not None and self == Objective(misses=self.misses)
+
+    @property
     def is_max_vsr(self) -> bool:
         """Whether it is max VSR alone."""
         others = ("misses", "inscribed_radius", *SIGHT)

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lidarcfg.geometry import Array
+from lidarcfg.placement.objective import Objective
 from lidarcfg.placement.study import Study
 from lidarcfg.requirements.objects import ObjectRequirement
 from lidarcfg.requirements.posts import PostRequirement
@@ -109,7 +110,7 @@ def _firsts(study: Study) -> Iterator[tuple[dict[str, Any], int]]:
 
 def is_mirrored(study: Study, plane_y_m: float) -> bool:
     """Whether the plane y = plane_y_m mirrors the bodies and all that requirements ask for."""
-    if study.requirements is None or study.surroundings or not study.only_required:  # an objective has its own zones
+    if study.requirements is None or study.surroundings or not _objective_is_mirrored(study.objective, study):
         return False
     if study.vehicle and not _mirrors(study.vehicle.scene.mesh()[0], plane_y_m):
         return False
@@ -126,6 +127,12 @@ def is_mirrored(study: Study, plane_y_m: float) -> bool:
         elif isinstance(item, ScenarioRequirement):  # traffic keeps right
             return False
     return True
+
+
+def _objective_is_mirrored(objective: Objective, study: Study) -> bool:
+    """Whether the plane mirrors what is minimised: misses all around, or nothing. Others have zones of their own."""
+    all_around = objective.is_misses and objective.misses is not None and objective.misses.sector_deg is None
+    return study.only_required or all_around
 
 
 def _mirrors(points_m: Array, plane_y_m: float) -> bool:

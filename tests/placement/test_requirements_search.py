@@ -7,7 +7,6 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
-from lidarcfg.requirements.trials import RigTrials
 
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement import cheapest as cheapest_module
@@ -26,10 +25,12 @@ from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.sweep import Processes
 from lidarcfg.requirements.requirements import Requirements
 from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
+from lidarcfg.requirements.shortfalls import Shortfalls
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns import scanners as firing
 from lidarcfg.returns.counts import returns
 from lidarcfg.returns.known import lowest_at
+from lidarcfg.returns.misses import SEARCH, SEARCH_PLACES
 from lidarcfg.returns.scanners import PHASES
 from lidarcfg.returns.target import box_target
 from lidarcfg.sensors.firing import CycleBeams
@@ -97,7 +98,7 @@ def yard(study, returns=20, lost=0, more=""):
 
 
 def test_costs_are_lexicographic(study):
-    """Shortfall first; the margin counts among rigs that meet all, and no shortfall is as bad as a broken constraint."""
+    """Shortfall first; misses count among rigs that meet all, and no shortfall is as bad as a broken constraint."""
     text = CRATES.replace("[0.5, 0.5, 1]", "[1, 1, 1]").replace("[1, 2]", "[1, 2.5]")
     one = study(text, returns=60, lost=0, more="")
     poses = one.poses(plain_points(one))
@@ -108,9 +109,9 @@ def test_costs_are_lexicographic(study):
     assert 0 < met.sum() < len(met)
     assert costs[~met].tolist() == [[each, math.inf] for each in short[~met].tolist()]
     for row, (shortfall, objective) in zip(poses[met], costs[met].tolist(), strict=True):
-        verdict = Verifier(one.requirements).verify(one.rig(row).mounts)
         assert shortfall == 0
-        assert objective <= min(1, 1 / (1 + verdict.least_margin))  # which counts the refined places, too
+        at_some = one.misses.known(SEARCH_PLACES, SEARCH)
+        assert objective == pytest.approx(one.misses.found_at(at_some, one.rig(row).mounts).mean)
     assert SHORTFALL_MOST < INFEASIBLE
 
 
@@ -133,7 +134,7 @@ def poses_of(study, count, seed=5):
 def test_shortfall_is_the_definition(study, lost):
     """Mean over places and cases of max(0, 1 − reached/demanded), from counts of each sensor at each place."""
     one = yard(study, lost=lost, more=NEARER)
-    judge = RigTrials(one.requirements, one.rig(one.lower).mounts)
+    judge = Shortfalls(one.requirements, one.rig(one.lower).mounts)
     poses = poses_of(one, 4)
     for row, rig in zip(poses, judge.rigs(poses), strict=True):
         total = 0.0
@@ -160,8 +161,8 @@ def test_scenarios_are_tried_last(study, monkeypatch):
     """They take seconds: what the places refute is not fired at all."""
     one = yard(study, more="  - {name: crossing, scenario: cpna, speeds_km_h: [20]}")
     poses = poses_of(one, 4)
-    judge = RigTrials(one.requirements, one.rig(one.lower).mounts)
-    places = RigTrials(replace(one.requirements, items=one.requirements.items[:-1]), one.rig(one.lower).mounts)
+    judge = Shortfalls(one.requirements, one.rig(one.lower).mounts)
+    places = Shortfalls(replace(one.requirements, items=one.requirements.items[:-1]), one.rig(one.lower).mounts)
     known = [places.shortfall(rig) for rig in places.rigs(poses)]
     monkeypatch.setattr(ScenarioRequirement, "judge", lambda self, mounts: pytest.fail("it is fired"))
     for rig, short in zip(judge.rigs(poses), known, strict=True):
@@ -171,7 +172,7 @@ def test_scenarios_are_tried_last(study, monkeypatch):
 
 def test_base_verdict_and_search_agree(study):
     one = yard(study, returns=3, lost=1)
-    judge = RigTrials(one.requirements, one.rig(one.lower).mounts)
+    judge = Shortfalls(one.requirements, one.rig(one.lower).mounts)
     poses = poses_of(one, 2)
     for row, rig in zip(poses, judge.rigs(poses), strict=True):
         verdict = Verifier(one.requirements).verify(one.rig(row).mounts)
@@ -188,7 +189,7 @@ objective: {max_vsr: 1}
 @pytest.mark.parametrize(
     ("more", "robust"),
     [("", ""), (MORE, ""), ("robust: {position_sigma_m: 0.05, samples: 3, quantile: 0.6}", "draws")],
-    ids=["least margin", "objective", "draws"],
+    ids=["misses", "objective", "draws"],
 )
 def test_skipping_and_threads_change_nothing(study, more, robust):
     one = with_solver(yard(study, returns=4, more=more), evaluations=24 if robust else 64)
@@ -228,14 +229,14 @@ def test_no_result_is_worse_than_the_best_plain_rig(study):
 
 
 def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
-    """As after a pause: rigs of a margin beyond what is counted at first, each beside one that is hardly worse."""
+    """As after a pause: rigs that meet all, each beside one that misses hardly more."""
     text = CRATES.replace("[0.5, 0.5, 1]", "[1, 1, 1]").replace("[1, 2]", "[1, 2.5]")
     one = study(text, returns=1, lost=0, more="")
     poses = one.poses(plain_points(one))
     index = np.zeros(1, np.int64)
     with RequirementsEvaluator(one, 1, skip=False) as evaluator:
         costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], unbounded(len(poses)))
-    met = np.flatnonzero(costs[:, 1] < 0.5)  # of more than twice the returns
+    met = np.flatnonzero((costs[:, 0] == 0) & (costs[:, 1] > 0))
     assert len(met)
     for number in met.tolist():
         with RequirementsEvaluator(one, 1) as evaluator:
