@@ -19,8 +19,7 @@ Beyond the paper: `objective` has the terms that may be minimised, `zones` weigh
 failures and mounting errors into account; `surfaces` are where on a body sensors may sit; `analytic`, with
 `boundaries`, measures the subspaces themselves instead of their cuboids; `combinations` and `front` choose sensors by
 price; `plan` and `sweep` run many searches. For requirements: `plain_rigs` are tried first, `requirements_search` has
-the costs and the search, `cheapest` with `symmetry` finds the cheapest rig, and `achievable` finds what no rig can
-meet.
+the costs and the search, `cheapest` finds the cheapest rig, and `achievable` what no rig can meet.
 """
 
 import lazy_loader

@@ -1,31 +1,26 @@
-"""Requirements that no rig within a study's bounds can meet: out of range or sight, too many returns, too dear.
+"""Requirements that no rig within a study's bounds can meet: out of range, too many returns, too dear.
 
-Only what is certain is reported, as far as sampling goes: the bounds are tried every 0.25 m, and an object at 26
-points on its bounding box. A requirement that passes here may be out of reach all the same.
+Only what is certain is reported. A requirement that passes here may be out of reach all the same, for example out of
+sight, of which some places within the bounds prove nothing.
 """
 
 import math
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarcfg import maths
-from lidarcfg.core import world
 from lidarcfg.geometry import Array
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement.slots import Slot
 from lidarcfg.placement.study import Study
 from lidarcfg.requirements.objects import ObjectRequirement, reached
-from lidarcfg.requirements.prices import PriceRequirement
-from lidarcfg.requirements.sight import places_within
+from lidarcfg.requirements.prices import PriceRequirement, total_price
 from lidarcfg.returns.scanners import PHASES
 from lidarcfg.sensors.firing import CycleBeams
 from lidarcfg.sensors.sensor import Sensor
 
-LOOKED_AT = 48  # directions around the body: in each the nearest place of an object is looked at from everywhere
-FROM = 512  # places of sensors, from which they are
+ROUNDING = 1e-9  # metres, radians, and beams
 
 
 def unachievable(study: Study) -> dict[str, str]:
@@ -38,9 +33,7 @@ def unachievable(study: Study) -> dict[str, str]:
         if isinstance(item, PriceRequirement) and (least := cheapest_price(study, item)) > item.at_most:
             why = f"the cheapest rig costs {least:,.6g}"
         elif isinstance(item, ObjectRequirement):
-            if item.at_least == 1:
-                why = _beyond_range(study, item) or _out_of_sight(study, item)
-            why = why or _too_few_beams(study, item)
+            why = _beyond_range(study, item) or _too_few_beams(study, item)
         if why:
             found[item.name] = why
     return found
@@ -56,7 +49,7 @@ def cheapest_price(study: Study, item: PriceRequirement) -> float:
         prices = [choice.price for choice in slot.choices if choice]
         some.append(min(prices))
         least.append(0.0 if None in slot.choices else min(prices))
-    return sum(least) or min(some)
+    return total_price(least) or min(some)
 
 
 def _sensors(slot: Slot) -> list[Sensor]:
@@ -64,27 +57,30 @@ def _sensors(slot: Slot) -> list[Sensor]:
     return [choice.sensor for choice in slot.choices if choice] or [slot.sensor]
 
 
-def _range_m(study: Study) -> float:
-    """The greatest range of any sensor that may be chosen."""
-    found = []
+def _reach_m(study: Study) -> tuple[float, float]:
+    """The greatest range of any sensor that may be chosen, and the farthest that a beam starts from its sensor."""
+    ranges_m = [0.0]
+    starts_m = [0.0]
     for slot in study.slots:
-        ranges = (
-            [slot.range_m]
-            if slot.range_m
-            else [(one.range.min_m, one.range.max_m) for one in _sensors(slot) if one.range]
-        )
-        found += [most for _, most in ranges]
-    return max(found, default=np.inf)
+        for sensor in _sensors(slot):
+            own = sensor.range.max_m if sensor.range else math.inf
+            ranges_m.append(slot.range_m[1] if slot.range_m else own)
+            offsets_m = sensor.forward_offset_m, sensor.lateral_offset_m, sensor.vertical_offset_m
+            starts_m.append(float(np.linalg.norm(offsets_m, axis=0).max(initial=0.0)))
+    return max(ranges_m), max(starts_m)
 
 
 def _beyond_range(study: Study, item: ObjectRequirement) -> str | None:
     """Whether some place is farther from all bounds than any sensor's range."""
+    if item.at_least < 1:
+        return None
     at = item.stand.base[:, :3]
     distance_m = _from_bounds_m(study, at)
     low, high = item.target.box_m
-    radius_m = float(np.linalg.norm(np.maximum(abs(low), abs(high))))
+    radius_m = math.hypot(*np.maximum(abs(low), abs(high)))
     far = int(distance_m.argmax())
-    if distance_m[far] - radius_m <= (most_m := _range_m(study)):
+    most_m, start_m = _reach_m(study)
+    if distance_m[far] <= most_m + start_m + radius_m + ROUNDING:
         return None
     x, y = at[far, :2]
     far_m = f"({x:.2f}, {y:.2f}) is {distance_m[far]:.1f} m from the bounds of all sensors"
@@ -107,7 +103,7 @@ def _too_few_beams(study: Study, item: ObjectRequirement) -> str | None:
     With a fraction of positions, those nearest to the bounds count.
     """
     low, high = item.target.box_m
-    radius_m = 0.5 * float(np.linalg.norm(high - low))
+    radius_m = 0.5 * math.dist(low, high)
     at = np.unique(item.stand.base[:, :3], axis=0)
     distance_m = np.sort(_from_bounds_m(study, at + 0.5 * (low + high)))[math.ceil(item.at_least * len(at) - 1e-9) - 1]
     most = []
@@ -138,62 +134,9 @@ def most_returns(beams: CycleBeams, radius_m: float, distance_m: float) -> int:
         sine = maths.sin(half_rad) / np.maximum(maths.cos(elevation_rad), 1e-12)
         number = np.full(len(firings), len(heads_rad))
         narrow = (sine < 1) & (spacing_rad > 0)
-        within = 2 * maths.asin(sine[narrow]) / max(spacing_rad, 1e-12)
+        within = 2 * maths.asin(sine[narrow]) / max(spacing_rad, 1e-12) + ROUNDING
         number[narrow] = np.minimum(within + 2, len(heads_rad))  # one more where a revolution ends
         before = np.concatenate([[0], np.cumsum(number)])
-        last = np.searchsorted(elevation_rad, elevation_rad + 2 * half_rad + 1e-9, side="right")
+        last = np.searchsorted(elevation_rad, elevation_rad + 2 * half_rad + ROUNDING, side="right")
         most = max(most, int((before[last] - before[:-1]).max()))
     return most
-
-
-def _out_of_sight(study: Study, item: ObjectRequirement) -> str | None:
-    """Whether at some place too few sensors have a line of sight to the object from anywhere within their bounds."""
-    assert study.requirements
-    site = study.requirements.site
-    if not site.bounds:
-        return None
-    within = [places_within([box], site.vehicle) for box in site.bounds]
-    tried = sum(map(len, within))
-    if not tried or tried > FROM:
-        return None
-    needed = item.lost + (item.sensors or 1)
-    for place in _nearest(item):
-        points = _points(item, place)
-        seeing = sum(_sees(places, points, site.obstacles.tree, site.obstacles.origin_m) for places in within)
-        if seeing >= needed:
-            continue
-        at = f"at ({place[0]:.2f}, {place[1]:.2f}), heading {np.degrees(place[3]):.0f}°"
-        if not seeing:
-            return f"{at}, it is hidden from all {tried:,} places that were tried within the bounds"
-        few = f"at most {seeing} of the {len(within)} sensors can see it, of {tried:,} places that were tried"
-        return f"{at}, {few}; {needed} have to"
-    return None
-
-
-def _nearest(item: ObjectRequirement) -> Array:
-    """(n, 4) places near the body, or without one near the origin: the nearest position in each direction."""
-    base = item.stand.base
-    body = item.stand.zone.body
-    direction = np.floor(maths.atan2(base[:, 1], base[:, 0]) * (LOOKED_AT / (2 * math.pi)))
-    distance_m = body.to_points_m(base[:, :2]) if body else np.linalg.norm(base[:, :2], axis=1)
-    order = np.argsort(distance_m, kind="stable")
-    return base[order[np.unique(direction[order], return_index=True)[1]]]
-
-
-def _points(item: ObjectRequirement, place: Array) -> Array:
-    """(26, 3) corners and middles of edges and faces of the object's bounding box."""
-    low, high = item.target.box_m
-    thirds = np.array([one for one in product((0.0, 0.5, 1.0), repeat=3) if one != (0.5, 0.5, 0.5)])
-    points = low + thirds * (high - low)
-    c = maths.cos(place[3])
-    s = maths.sin(place[3])
-    return np.asarray(points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + place[:3])
-
-
-def _sees(sensors: Array, points: Array, tree: world.Bvh, origin_m: Array) -> bool:
-    """Whether any of some places sees any of some points."""
-    starts = np.repeat(sensors, len(points), axis=0) - origin_m
-    ways = np.tile(points, (len(sensors), 1)) - origin_m - starts
-    blocked: NDArray[np.bool_] = np.empty(len(starts), np.bool_)
-    world.any_hits(tree, np.ascontiguousarray(starts.T), np.ascontiguousarray(ways.T), blocked)
-    return not blocked.all()

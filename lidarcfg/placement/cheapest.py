@@ -22,7 +22,7 @@ from lidarcfg.placement.search_run import INFEASIBLE, Budget, Log, Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.sweep import Workers, check_versions, distribute
 
-NO_RIG = "no rig of it keeps the constraints"
+CONSTRAINTS = "the constraints"  # which a combination misses as long as no rig of it that was tried keeps them
 TOO_DEAR = "too dear"
 FIRST = 250  # evaluations of the second round
 GROWTH = 4
@@ -47,7 +47,7 @@ class Effort:
     log: Log
     evaluations: int  # that the budget limits
     rigs: int  # evaluated, the plain ones included
-    shortfall: float  # of the best rig; 0: it meets all
+    shortfall: float  # of the best rig; 0: it meets all; inf: no rig tried keeps the constraints
     failing: tuple[str, ...]  # the requirements that it misses
     meets: bool  # verified, refined places included
 
@@ -60,7 +60,7 @@ class SearchedCombination:
     price: float
     sensors: int
     evaluations: int  # the plain rigs included
-    shortfall: float  # of its best rig; inf if it was not searched
+    shortfall: float  # of its best rig; inf if there is none yet
     failing: tuple[str, ...]
     meets: bool
     excluded: str | None = None  # why no rig of it can meet all
@@ -168,6 +168,11 @@ class CheapestRun:
         return bool(self.efforts) and self._budget.spent(self.evaluations, 0)
 
     @property
+    def _has_rig(self) -> bool:
+        """Whether some rig keeps the constraints."""
+        return any(math.isfinite(one.shortfall) for one in self.efforts.values())
+
+    @property
     def _evaluations_each(self) -> int:
         """The number of evaluations that each combination's search reaches in this round."""
         return FIRST * GROWTH ** (self.round - 1) if self.round else 0
@@ -190,7 +195,7 @@ class CheapestRun:
             self.round_done = done / len(numbers)
             if on_effort:
                 on_effort(self, self.options[number])
-            return self._is_spent() or self.found in numbers
+            return (self._has_rig and self._is_spent()) or self.found in numbers
 
         each = self._evaluations_each
         if self._workers:
@@ -219,7 +224,7 @@ class CheapestRun:
     def result(self, interrupted: bool) -> Cheapest:
         """The best found so far. Raises KeyboardInterrupt or ConfigError if there is none yet."""
         seconds = time.perf_counter() - self._began
-        if not self.efforts:
+        if not self._has_rig:
             if interrupted:
                 raise KeyboardInterrupt
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
@@ -263,7 +268,7 @@ def work(content: bytes, theirs: dict[str, str]) -> Effort | str:
 def effort_of(job: Job, threads: int | None = None) -> Effort | str:
     """Continue a combination's search to a number of evaluations, or until a rig meets all requirements.
 
-    Or why there is nothing to search: no rig keeps the constraints, or none can meet all.
+    Or why there is nothing to search: no rig of it can meet all.
     """
     study = job.study
     if job.log is None and job.excludes:
@@ -275,7 +280,8 @@ def effort_of(job: Job, threads: int | None = None) -> Effort | str:
         while not run.is_over(budget) and not run.is_verified:
             run.step(evaluator, budget)
         if run.best_cost.shortfall >= INFEASIBLE:
-            return NO_RIG
+            rigs = sum(run.asked.values())
+            return Effort(run.log(), run.evaluations, rigs, math.inf, (CONSTRAINTS,), meets=False)
         shortfalls = evaluator.shortfalls(study.poses(run.best_x[None])[0])
     assert study.requirements
     names = [item.name for item in study.requirements.items]

@@ -21,7 +21,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.slots import Choice, Slot, slot_name
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.symmetry import Symmetry
+from lidarcfg.requirements.prices import total_price
 
 CHANGES_MAX = 2  # sensors exchanged, added and removed
 DRAWS = 4  # of the pose of a sensor that is new
@@ -96,27 +96,45 @@ def options(study: Study) -> list[Option]:
     least = 1 + max((study.robust and study.robust.lost) or 0, needed)  # some must be left
     names: Counter[str] = Counter()
     for chosen in product(*ways):
-        sensors = 0
-        price = 0.0
-        for group, part in zip(groups, chosen, strict=True):
-            sensors += group.together * sum(choice is not None for choice in part)
-            price += group.together * sum(choice.price for choice in part if choice)
-        if sensors >= least:
+        prices = [
+            choice.price
+            for group, part in zip(groups, chosen, strict=True)
+            for choice in part * group.together
+            if choice
+        ]
+        if len(prices) >= least:
             name = _name(groups, chosen)
             names[name] += 1
             suffix = f"-{names[name]}" if names[name] > 1 else ""
-            found.append(Option(name + suffix, price, study, chosen, sensors))
+            found.append(Option(name + suffix, total_price(prices), study, chosen, len(prices)))
     return found
 
 
 def distinct_options(study: Study) -> list[Option]:
-    """The options without symmetric duplicates, cheapest first."""
-    symmetry = Symmetry.of(study)
+    """The options, cheapest first; of those that allow the same rigs one.
+
+    The rigs are the same if groups with the same bounds and choices exchange their sensors. A mirror image of a rig is
+    another one, however symmetric all else is: heads turn one way only, and tables of firings and of beams have two
+    sides. With mounting errors that are drawn, each sensor has its own, and no two options are the same.
+    """
+    numbers = list(range(len(study.file["sensors"])))
+    if not (study.robust and study.robust.drawn):
+        places = [_place_of(study, group) for group in _groups(study)]
+        numbers = [places.index(place) for place in places]
     found: dict[object, Option] = {}
     for one in options(study):
-        chosen = [tuple(sorted(choice.model for choice in part if choice)) for part in one.chosen]
-        found.setdefault(symmetry.key(chosen), one)
+        chosen = [
+            (number, sorted(choice.model for choice in part if choice))
+            for number, part in zip(numbers, one.chosen, strict=True)
+        ]
+        found.setdefault(repr(sorted(chosen)), one)
     return sorted(found.values(), key=lambda one: one.price)
+
+
+def _place_of(study: Study, group: _Group) -> object:
+    """All that a group's file says but its name; its bounds in radians, whatever unit they are given in."""
+    values = {key: value for key, value in group.values.items() if key not in ("name", "min", "max")}
+    return values, study.lower[group.first].tolist(), study.upper[group.first].tolist()
 
 
 def _groups(study: Study) -> list[_Group]:
@@ -136,7 +154,7 @@ def _combination(
     slots: list[Slot] = []
     members: list[int] = []
     files: list[dict[str, Any]] = []
-    price = 0.0
+    prices: list[float] = []
     for i, (group, part) in enumerate(zip(groups, chosen, strict=True)):
         of_model = {choice.model: choice for choice in part if choice}
         counts = Counter(choice.model for choice in part if choice)
@@ -149,7 +167,7 @@ def _combination(
             if len(counts) > 1 and "name" in values:
                 values["name"] = f"{values['name']}_{_plain(choice.sensor.name)}"
             files.append(values)
-            price += count * choice.price
+            prices += [choice.price] * count
             for number in range(count):
                 slot = slot_name(values.get("name"), count, number, len(slots))
                 of = study.slots[place + number]
@@ -167,10 +185,11 @@ def _combination(
             what = f"a sensor of a combination has a name of {len(slot)} characters; allowed: at most {NAME_MAX}"
             raise ConfigError(f"{study.name}: {what}")
     used = {values["model"] for values in files}
-    prices = {model: each for model, each in study.file["prices"].items() if model in used}
-    file = study.file | {"sensors": files, "prices": prices}
+    named = {model: each for model, each in study.file["prices"].items() if model in used}
+    file = study.file | {"sensors": files, "prices": named}
     names = tuple(_group_name(group, i) for i, group in enumerate(groups))
-    return Combination(name, price, replace(study.chosen(numbers, slots, file), name=name), tuple(members), names)
+    whole = replace(study.chosen(numbers, slots, file), name=name)
+    return Combination(name, total_price(prices), whole, tuple(members), names)
 
 
 def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -> str:

@@ -208,7 +208,7 @@ if TYPE_CHECKING:
 
 
 def save_combinations(found: "Cheapest", folder: Path) -> None:
-    """Write combinations.csv: how long each was searched, and how short it fell; empty if it was not."""
+    """Write combinations.csv: how long each was searched, and how short it fell; empty if it has no rig yet."""
     with replacing(folder / COMBINATIONS) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
@@ -227,7 +227,7 @@ def print_cheapest(found: "Cheapest") -> None:
         console.print(f"the cheapest rig found that meets all requirements: {asked.sensors}, for {price(asked.price)}")
     else:
         console.print(f"no rig found meets all requirements; {asked.sensors}, for {price(asked.price)}, comes closest")
-    searched = sum(math.isfinite(one.shortfall) for one in found.tried)
+    searched = sum(one.evaluations > 0 for one in found.tried)
     console.print(
         f"{searched:,} of {counted(found.combinations, 'combination')} searched; "
         f"{counted(sum(one.evaluations for one in found.tried), 'evaluation')}, {found.seconds:.1f} s"
@@ -271,7 +271,7 @@ def _closest(tried: "tuple[SearchedCombination, ...]") -> "list[SearchedCombinat
 
 
 def _missed(one: "SearchedCombination") -> str:
-    if not math.isfinite(one.shortfall):
+    if not one.evaluations:
         return "not searched"
     if one.failing:
         return ", ".join(truncate(name) for name in one.failing)

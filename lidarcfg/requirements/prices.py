@@ -1,12 +1,18 @@
 """What a rig costs, and how many sensors it has."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.requirements.verdict import RequirementVerdict
 from lidarcfg.returns.counts import OnPlaces, no_progress
 from lidarcfg.sensors.rig import Mount
+
+
+def total_price(prices: Iterable[float]) -> float:
+    """What several cost together: the sum of the decimals that they are written as, so that 0.1 thrice is 0.3."""
+    return float(sum(Decimal(str(price)) for price in prices))
 
 
 @dataclass(frozen=True)
@@ -19,14 +25,14 @@ class PriceRequirement:
 
     def price(self, mounts: Sequence[Mount]) -> float:
         """What the sensors cost. Raises ConfigError for one without a price."""
-        total = 0.0
+        each = []
         for mount in mounts:
             if mount.model is None or mount.model not in self.prices:
                 what = f"{mount.model!r} has" if mount.model else "beams of its own have"
                 known = ", ".join(sorted(self.prices))
                 raise ConfigError(f"{mount.name}: {what} no price, which {self.name!r} needs; prices has {known}")
-            total += self.prices[mount.model]
-        return total
+            each.append(self.prices[mount.model])
+        return total_price(each)
 
     @property
     def work(self) -> int:

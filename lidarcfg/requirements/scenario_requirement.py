@@ -99,7 +99,6 @@ class ScenarioOutcome:
         found = self.result
         case = found.worst
         worst = case.worst
-        blind = [one for one in found.cases if not one.achievable and one.worst.margin_s < 0.0]
         return RequirementVerdict(
             name=self.requirement.name,
             kind="scenario",
@@ -113,7 +112,6 @@ class ScenarioOutcome:
             lost=tuple(found.sensor_names[n] for n in worst.lost),
             breaking=self.breaking,
             notes=_notes(found, case),
-            not_achievable=_why(blind) if blind else None,
         )
 
 
@@ -136,6 +134,10 @@ def _notes(found: ScenarioResult, case: ScenarioCase) -> tuple[str, ...]:
     sight = "is never in sight" if sight_s is None else _relative(sight_s, "comes into sight")
     places = f"{case.sight.places:,} place{'s' if case.sight.places > 1 else ''}"
     notes.append(f"of {places} tried within the sensors' bounds, from the best one it {sight}")
+    late = [one.speed_km_h for one in found.cases if not one.is_seen_in_time and one.worst.margin_s < 0.0]
+    if late:
+        speeds = ", ".join(f"{speed:g}" for speed in np.unique(late).tolist())
+        notes.append(f"at {speeds} km/h that is too late for a frame before the last moment to brake")
     if found.scenario.file.unverified:
         notes.append(f"not verified: {found.scenario.file.unverified}")
     return tuple(notes)
@@ -143,9 +145,3 @@ def _notes(found: ScenarioResult, case: ScenarioCase) -> tuple[str, ...]:
 
 def _relative(margin_s: float, what: str) -> str:
     return f"{what} {abs(margin_s):.2f} s {'before' if margin_s >= 0 else 'after'} that"
-
-
-def _why(blind: Sequence[ScenarioCase]) -> str:
-    """Why no rig can detect the target in time."""
-    speeds = ", ".join(f"{speed:g}" for speed in np.unique([case.speed_km_h for case in blind]).tolist())
-    return f"at {speeds} km/h the target comes into sight too late for a frame before the last moment to brake"

@@ -261,7 +261,7 @@ class ScenarioCase:
         return None if self.sight.seconds is None else self.runs[0].last_s - self.sight.seconds
 
     @property
-    def achievable(self) -> bool:
+    def is_seen_in_time(self) -> bool:
         """Whether the line of sight leaves time for a frame's end at each start."""
         frames_s = (STARTS - 1) / STARTS * self.runs[0].frame_s
         return self.sight_margin_s is not None and self.sight_margin_s >= frames_s

@@ -313,83 +313,19 @@ solver: {evaluations: 400}
 """
 
 
-def test_symmetric_combinations_count_once(study):
-    """Two mirrored groups of one sensor each: multisets of two of three choices, without that of no sensor."""
-    one = study(CHOICE.replace("RETURNS", "10"))
-    assert len(options(one)) == 3**2 - 1
-    distinct = distinct_options(one)
+def test_each_rig_is_searched_once(study):
+    """Two groups of one sensor each. In the same bounds: multisets of two of three choices, without that of no sensor."""
+    apart = study(CHOICE.replace("RETURNS", "10"))
+    assert len(distinct_options(apart)) == len(options(apart)) == 3**2 - 1  # a mirror image is another rig
+    together = CHOICE.replace("RETURNS", "10").replace("-0.4", "0.4")
+    distinct = distinct_options(study(together))
     assert len(distinct) == math.comb(3 + 2 - 1, 2) - 1
     prices = [each.price for each in distinct]
-    assert prices == sorted(prices)
-    expected = [sum(pair) for pair in combinations_with_replacement((4000, 7000, 0), 2) if any(pair)]
-    assert prices == sorted(expected)
-
-
-FOUR = """
-  - name: left2
-    choose: [vlp-16, vlp-32c]
-    min: {position_m: [-1, 0.4, 1.5], rpy_deg: [0, 0, 0]}
-    max: {position_m: [-0.5, 0.4, 1.8], rpy_deg: [0, 0, 0]}
-  - name: right2
-    choose: [vlp-16, vlp-32c]
-    min: {position_m: [-1, -0.4, 1.5], rpy_deg: [0, 0, 0]}
-    max: {position_m: [-0.5, -0.4, 1.8], rpy_deg: [0, 0, 0]}
-  - name: back
-    model: vlp-16
-    min: {position_m: [-1, 0, 1], rpy_deg: [0, 0, 180]}
-    max: {position_m: [-1, 0, 1.4], rpy_deg: [0, 0, 180]}
-prices:"""
-
-ASIDE = """
-  - name: aside
-    model: vlp-16
-    min: {position_m: [0, 0.1, 2], rpy_deg: [0, 0, 0]}
-    max: {position_m: [0, 0.4, 2], rpy_deg: [0, 0, 0]}
-prices:"""
-ZONES = """
-objective: {max_vsr: 1}
-zones: [{name: left, min_m: [-8, 1, 0], max_m: [8, 8, 4], weight: 2}]
-solver:"""
-WEDGE = """OFF
-4 4 0
-0 0 0
-1 0 0
-0 1 0
-0 0 1
-3 0 2 1
-3 0 1 3
-3 1 2 3
-3 2 0 3
-"""
-
-
-def test_all_groups_are_mirrored_at_once(study):
-    """To exchange left and right in front alone is no symmetry of a rig whose rear differs from side to side."""
-    one = study(CHOICE.replace("RETURNS", "10").replace("\nprices:", FOUR))
-    front = [a + b for a in "16n" for b in "16n"]
-    rear = [a + b for a in "16" for b in "16"]
-    seen = {frozenset([(f, r), (f[::-1], r[::-1])]) for f in front for r in rear}
-    assert len(options(one)) == len(front) * len(rear)
-    assert len(distinct_options(one)) == len(seen)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        ("[-30, 30]", "[-30, 40]"),
-        ("headings_deg: [0]", "headings_deg: [0, 30]"),
-        ("{size_m: [1, 1, 1]}", "{mesh: wedge.off}"),
-        ("  - {name: budget", "  - {name: crossing, scenario: cpna}\n  - {name: budget"),
-        ("center_m: [0, 0, 0.7]", "center_m: [0, 0.1, 0.7]"),
-        ("\nprices:", ASIDE),
-        ("\nsolver:", ZONES),
-    ],
-    ids=["sector", "headings", "object", "scenario", "body", "another group", "zones"],
-)
-def test_what_is_lopsided_has_no_symmetry(study, change, tmp_path):
-    (tmp_path / "wedge.off").write_text(WEDGE)
-    one = study(CHOICE.replace("RETURNS", "10").replace(*change))
-    assert len(distinct_options(one)) == len(options(one)) >= 3**2 - 1
+    assert prices == sorted(sum(pair) for pair in combinations_with_replacement((4000, 7000, 0), 2) if any(pair))
+    drawn = study(together.replace("solver:", "robust: {angle_sigma_deg: 0.5, samples: 4}\nsolver:"))
+    assert len(distinct_options(drawn)) == 3**2 - 1  # each sensor has mounting errors of its own
+    other = study(together.replace("right\n", "right\n    range_m: [0.5, 30]\n"))
+    assert len(distinct_options(other)) == 3**2 - 1
 
 
 @pytest.mark.parametrize("returns", [300, 100_000])
@@ -445,36 +381,9 @@ def test_what_is_excluded_meets_nothing_when_searched(study):
     assert all(tried.evaluations > 0 and tried.shortfall > 0 and not tried.meets for tried in searched)
 
 
-def test_too_few_sensors_in_sight(study):
-    """Of two sensors on either side of a wall one alone sees a crate beside it: none is left if that fails."""
-    text = """
-region: {{min_m: [-8, -8, 0], max_m: [8, 8, 4], cuboid_m: [1, 1, 1]}}
-vehicle: {{boxes: [{{name: wall, center_m: [0, 0, 1.5], size_m: [9, 0.2, 3]}}]}}
-sensors:
-  - {{model: vlp-16, name: left,
-     min: {{position_m: [-1, 2, 1], rpy_deg: [0, 0, 0]}}, max: {{position_m: [1, 2, 1], rpy_deg: [0, 0, 0]}}}}
-  - {{model: vlp-16, name: right,
-     min: {{position_m: [-1, -2, 1], rpy_deg: [0, 0, 0]}}, max: {{position_m: [1, -2, 1], rpy_deg: [0, 0, 0]}}}}
-requirements:
-  - name: crate
-    object: {{size_m: [0.5, 0.5, 0.5]}}
-    region: {{min_m: [-0.5, 0.5, -0.1], max_m: [0.5, 1.5, 2]}}
-    returns: 5
-    lost: {lost}
-"""
-    assert unachievable(study(text, lost=0)) == {}
-    assert "at most 1 of the 2 sensors can see it" in unachievable(study(text, lost=1))["crate"]
-
-
 def test_what_no_rig_can_meet_is_said(study):
-    """A slit closed by the far wall, a zone beyond the range, and a budget below the cheapest rig."""
+    """A zone beyond the range, and a budget below the cheapest rig."""
     assert unachievable(study(SLIT)) == {}
-    walled = study(
-        SLIT.replace(
-            "center_m: [5.7, 2.5, 1.5], size_m: [8.6, 0.2, 3]", "center_m: [5, 2.5, 1.5], size_m: [10, 0.2, 3]"
-        )
-    )
-    assert "hidden from all" in unachievable(walled)["behind the slit"]
     near = study(SLIT.replace("model: vlp-16", "model: vlp-16\n    range_m: [0.5, 3]"))
     assert "no range exceeds 3 m" in unachievable(near)["behind the slit"]
     dear = study(CHOICE.replace("RETURNS", "10").replace("13000", "3999"))

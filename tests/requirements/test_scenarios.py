@@ -87,17 +87,21 @@ def test_the_verdict_in_seconds(files):
 
 
 def test_what_no_rig_can_do(files):
-    """Comfortably, the child comes into sight too late; and nothing is said of it where a rig does it all the same."""
+    """Comfortably, the child comes into sight too late, from all places that are tried, which proves nothing; and nothing
+    is said of it where a rig does it all the same.
+    """
     (files / "short.yaml").write_text(SHORT.replace("2.4", "4.0"))
     _, found = judged(files, ("[50]", "[20], braking: comfort"))
     assert not found.passed
-    assert "at 20 km/h the target comes into sight too late" in found.not_achievable
+    late = "at 20 km/h that is too late for a frame before the last moment to brake"
+    assert late in found.notes
+    assert found.not_achievable is None
     assert 0 < found.shortfall < 1
     assert any(
         note.startswith("the last moment to brake at 20 km/h is 2.29 s and 12.7 m before") for note in found.notes
     )
     _, found = judged(files)
-    assert found.not_achievable is None
+    assert late not in found.notes
 
 
 def test_more_is_demanded(files):
