@@ -8,7 +8,6 @@ import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from lidarcfg.viewer.page import ASSETS, MODULES, Page, html
 HERE = "127.0.0.1"
 HOSTS = (HERE, "localhost")  # any other name could be a page from elsewhere
 HOST = re.compile(rf"({'|'.join(map(re.escape, HOSTS))})(:[0-9]{{1,5}})?")
+TARGET = re.compile(r"(?:http://[\w.:-]*)?(/[\w./-]*)(?:[?#].*)?", re.ASCII)  # of a request: its path alone matters
 REQUEST_MAX = 1 << 20  # bytes
 TOKEN = "X-Lidarcfg-Token"  # a header that a page from elsewhere can neither know nor send
 IDLE_S = 30.0  # after which a silent connection is closed
@@ -78,7 +78,11 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         if not self._is_local():
             return
-        path = urlsplit(self.path).path
+        target = TARGET.fullmatch(self.path)
+        if not target:
+            self._refuse(HTTPStatus.BAD_REQUEST, f"{self.path}: is no address of a page")
+            return
+        path = target[1]
         name = path.rpartition("/")[2]
         if path in self.server.texts:
             self._send(*self.server.texts[path])
@@ -150,7 +154,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _request(self) -> dict[str, Any]:
         """The request's JSON. Raises ConfigError."""
         length = self.headers.get("Content-Length", "")
-        if not (length.isascii() and length.isdigit() and int(length) <= REQUEST_MAX):
+        if not (re.fullmatch("[0-9]{1,9}", length) and int(length) <= REQUEST_MAX):
             self.close_connection = True
             raise ConfigError(f"Content-Length {length!r}; allowed: 0 to {REQUEST_MAX}")
         try:
