@@ -44,6 +44,11 @@ def kind_of(values: object) -> str | None:
     return None
 
 
+def likely_kind_of(values: Mapping[str, Any]) -> str | None:
+    """As `kind_of`; what has sensors of which nothing can be told is taken for a rig, whose errors say more."""
+    return kind_of(values) or ("rig" if "sensors" in values else None)
+
+
 def _sensors(listed: Any) -> str | None:
     """The kind of a file with `sensors`: a study if they have bounds, a rig if they have positions."""
     items = [item for item in listed if isinstance(item, Mapping)] if isinstance(listed, tuple) else []

@@ -196,6 +196,8 @@ class StudyFile(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "StudyFile":
+        if not self.requirements and "requirements" in self.model_fields_set:
+            raise validation_error("asks for nothing; give a requirement, or remove the key", "requirements")
         self._check_prices()
         names = [item.name for item in self.detection]
         check_names(names, "an object", "detection")

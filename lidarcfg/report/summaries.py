@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lidarcfg.capture.manifest import CaptureManifest, read_manifest
-from lidarcfg.config.kinds import DISCRIMINATING_KEYS, kind_of
+from lidarcfg.config.kinds import DISCRIMINATING_KEYS, likely_kind_of
 from lidarcfg.config.models import load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
@@ -38,7 +38,7 @@ class Summary:
 def summary(path: str | Path) -> Summary:
     """The summary of one of our files. Raises ConfigError and SceneError if it has an error."""
     path = example(path)
-    kind = "trajectory" if path.suffix == ".tum" else kind_of(load_keys(path))
+    kind = "trajectory" if path.suffix == ".tum" else likely_kind_of(load_keys(path))
     if kind is None:
         allowed = ", ".join(sorted({*DISCRIMINATING_KEYS, "requirements", "rig"}))
         raise ConfigError(f"{path}: is not one of lidarcfg's files; allowed: {allowed}")

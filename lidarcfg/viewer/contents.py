@@ -110,7 +110,7 @@ def _is_truth(path: Path) -> bool:
 
 def _yaml_kind(path: Path) -> Kind:
     values = load_keys(path)
-    found = kinds.kind_of(values) or ("rig" if "sensors" in values else None)
+    found = kinds.likely_kind_of(values)
     for kind in YAML_KINDS:
         if kind == found:
             return kind

@@ -195,6 +195,16 @@ def test_files_are_summed_up(tmp_path):
     )
 
 
+def test_sensors_that_say_nothing_are_no_sensors_of_a_rig(tmp_path):
+    """Without a sensor, a rig and a study without its region look alike; the error is at the key."""
+    path = tmp_path / "rig.yaml"
+    path.write_text("name: empty\nsensors: []\n")
+    said = lidarcfg("validate", path, code=2).stderr
+    assert said == f"lidarcfg: {path}:2:1: sensors: has 0 values; allowed: at least 1\n"
+    path.write_text("sensors: [{model: vlp-16}]\n")
+    assert f"{path}:1:11: sensors[0].position_m: missing" in lidarcfg("validate", path, code=2).stderr
+
+
 def test_init_writes_the_study_and_the_body_or_neither(tmp_path):
     """On a disk that is full at 100,000 bytes; the body has more."""
     code = "import resource as r, signal as s; s.signal(s.SIGXFSZ, s.SIG_IGN); r.setrlimit(r.RLIMIT_FSIZE, (100_000,) * 2);"

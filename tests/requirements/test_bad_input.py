@@ -113,6 +113,15 @@ def test_verify_needs_requirements(tmp_path):
     assert "has no requirements" in lidarcfg("verify", path, rig(tmp_path), code=2).stderr
 
 
+@pytest.mark.parametrize("command", ["validate", "optimize"])
+def test_requirements_that_ask_for_nothing(command, tmp_path):
+    """Without the key, max VSR is minimised: not what one wants who wrote it."""
+    path = study(tmp_path, f"{CHILD}, within_m: [1, 2]")
+    path.write_text(path.read_text().partition("requirements:")[0] + "requirements: []\n")
+    said = lidarcfg(command, path, code=2).stderr
+    assert said == f"lidarcfg: {path}:8:1: requirements: asks for nothing; give a requirement, or remove the key\n"
+
+
 def test_a_model_without_a_price(tmp_path):
     path = study(tmp_path, "price_at_most: 100")
     text = path.read_text()
