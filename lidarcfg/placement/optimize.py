@@ -5,8 +5,10 @@ from collections.abc import Callable
 from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
+from lidarcfg.placement.misses_search import MissesRun
 from lidarcfg.placement.plain_rigs import plain_points
-from lidarcfg.placement.requirements_search import PointsFirst, RequirementsRun
+from lidarcfg.placement.points_first import PointsFirst
+from lidarcfg.placement.requirements_search import RequirementsRun
 from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.study import Study, load_study
@@ -28,8 +30,9 @@ def optimize(
     log at the end of each cycle. `on_evaluations` is called from time to time, also within a cycle, with the number
     of evaluations so far. `log` resumes an earlier search, which ends where an uninterrupted one would (unless its
     budget is in seconds). Without `skip` every trial is evaluated in full, which changes only the time. An
-    interrupt (Ctrl-C) ends the search and keeps the best rig so far. If the study has requirements, or with `plain`,
-    the plain rigs that an engineer would try are the first trials, so that no result is worse than the best of them.
+    interrupt (Ctrl-C) ends the search and keeps the best rig so far. If misses are minimised, if the study has
+    requirements, or with `plain`, the plain rigs that an engineer would try are the first trials, so that no result is
+    worse than the best of them.
     Raises ConfigError if nothing is free to move, or if no rig meets the constraints.
     """
     study = loaded(study, load_study, Study)
@@ -56,10 +59,11 @@ def optimize(
 
 def search_run(study: Study, log: Log | None = None, plain: bool | None = None) -> SearchRun:
     """A search that has not begun, or that replays a log; `plain` as in optimize."""
-    begins_plain = study.requirements is not None if plain is None else plain
     if study.requirements:
-        return RequirementsRun(study, log, begins_plain)
-    if begins_plain:
+        return RequirementsRun(study, log, plain is not False)
+    if study.objective.misses:
+        return MissesRun(study, log, plain is not False)
+    if plain:
         return SearchRun(study, PointsFirst(study, plain_points(study)), log)
     return SearchRun(study, start_search(study.solver, study.coordinates), log)
 

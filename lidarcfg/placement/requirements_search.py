@@ -25,19 +25,12 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.placement.achievable import unachievable
 from lidarcfg.placement.evaluator import Index
-from lidarcfg.placement.plain_rigs import plain_points
-from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator, objective_costs
-from lidarcfg.placement.solvers import start_search
+from lidarcfg.placement.misses_search import MissesRun
+from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, TrialEvaluator, objective_costs
 from lidarcfg.placement.solvers.search import (
     NO_COST,
-    Best,
     Cost,
-    FixedPoint,
-    Search,
-    Trials,
-    cost_of,
     is_below,
-    mean,
     unbounded,
 )
 from lidarcfg.placement.study import Study
@@ -46,6 +39,8 @@ from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement
 from lidarcfg.requirements.shortfalls import Draws, Shortfalls
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
+from lidarcfg.returns.known import KnownReturns
+from lidarcfg.returns.misses import SEARCH_PLACES
 from lidarcfg.returns.places import FINEST_M, FINEST_RAD
 from lidarcfg.sensors.rig import Mount
 
@@ -53,8 +48,6 @@ SHORTFALL_MOST = 1e5  # below INFEASIBLE
 LEAST = math.ulp(0.0)  # the least number above 0
 LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
 SLICE_MOST = 1000
-FIRST_POINTS = 2  # that are judged in full
-POINTS_GROWTH = 3  # of the number of points, until the best so far is what the next have to beat
 LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
@@ -74,7 +67,9 @@ class RequirementsEvaluator:
         skip: bool = True,
         on_evaluations: Callable[[int], None] | None = None,
         more_places: Mapping[int, Array] | None = None,
+        places: int = SEARCH_PLACES,
     ) -> None:
+        """Misses are counted at so many `places` of each object."""
         assert study.requirements
         self._threads = threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads)
@@ -83,7 +78,7 @@ class RequirementsEvaluator:
         self._requirements = study.requirements
         self._mounts = study.rig(study.lower).mounts
         self._judge = Shortfalls(self._requirements, self._mounts, skip, more_places)
-        self._objective = None if study.only_required else StudyEvaluator(study, threads, skip)
+        self._objective = None if study.only_required else StudyEvaluator(study, threads, skip, places=places)
         self._seconds = 0.0
         self.trials = 0  # evaluated, in full or until they were refuted
 
@@ -98,6 +93,16 @@ class RequirementsEvaluator:
     def add_places(self, more_places: Mapping[int, Array]) -> None:
         """Use these places, too, from now on; see Shortfalls. What is known of sensors is forgotten."""
         self._judge = Shortfalls(self._requirements, self._mounts, self._skip, more_places)
+
+    @property
+    def known(self) -> KnownReturns | None:
+        """The returns at the places where misses are counted; None: they are not."""
+        return self._objective.known if self._objective else None
+
+    def count_at(self, places: int) -> None:
+        """Count misses at so many places of each object from now on."""
+        if self._objective:
+            self._objective.count_at(places)
 
     @property
     def slice(self) -> int:
@@ -153,61 +158,6 @@ class RequirementsEvaluator:
         return Cost(0.0, 0.0)
 
 
-class PointsFirst(Best):
-    """Given points first, then the study's solver, which starts from the best of them.
-
-    The points come in batches. In all but the first a point counts only if it is better than those before.
-    With requirements, `auto` is annealing from the start: its trials move one sensor each; the others need no casting.
-    """
-
-    def __init__(self, study: Study, points: Array, restarts: int = 0) -> None:
-        """`restarts`: how many searches of the study came before; each has another seed."""
-        self._study = study
-        self._points = points
-        self._seed = (study.solver.seed + restarts) % 2**63
-        self._search: Search | None = None
-        self._known = np.empty((0, 2))  # costs of points
-        self.cycles = 0
-        self.best_x = points[0]
-
-    @property
-    def sources(self) -> Array:
-        """(s, dimensions) the points that trials are drawn around."""
-        return self._search.sources if self._search else self.best_x[None]
-
-    @property
-    def mean_cost(self) -> float:
-        """The mean cost of the population."""
-        if self._search:
-            return self._search.mean_cost
-        known = self._known[np.isfinite(self._known[:, 0])]
-        return mean(known) if len(known) else math.inf
-
-    def ask(self) -> Trials:
-        """The next of the points, or the solver's next trials."""
-        if self._search:
-            return self._search.ask()
-        done = len(self._known)
-        some = self._points[done : max(FIRST_POINTS, done * POINTS_GROWTH)]
-        return Trials("first", some, np.zeros(len(some), np.int64), np.tile(self.best_cost, (len(some), 1)))
-
-    def tell(self, cost: Array) -> None:
-        """The costs (n, 2) of the trials."""
-        self.keep_best(self.ask().x, cost)
-        if self._search:
-            self._search.tell(cost)
-            self.cycles = self._search.cycles
-            return
-        self._known = np.concatenate([self._known, cost])
-        if len(self._known) < len(self._points):
-            return
-        method = self._study.solver.method
-        if method == "auto" and self._study.requirements:
-            method = "annealing"
-        solver = self._study.solver.model_copy(update={"seed": self._seed, "method": method})
-        self._search = start_search(solver, self._study.coordinates, self.best_x)
-
-
 @dataclass(frozen=True)
 class RequirementsCycle(Cycle):
     """A line of the history; while the best rig misses requirements, `best` and `mean` are shortfalls."""
@@ -224,19 +174,16 @@ class Verified:
     verdict: Verdict
 
 
-class RequirementsRun(SearchRun):
+class RequirementsRun(MissesRun):
     """A search for a rig that meets requirements; see SearchRun."""
 
     def __init__(self, study: Study, log: Log | None = None, plain: bool = True) -> None:
         """With `plain`, the plain rigs are the first trials."""
         assert study.requirements
-        self._points = plain_points(study) if plain else np.full((1, int(study.free.sum())), 0.5)
-        super().__init__(study, PointsFirst(study, self._points) if study.free.any() else FixedPoint(), log)
+        super().__init__(study, log, plain)
         self._requirements = study.requirements
         self._verify_s = 0.0  # the longest time that it took
         self._more_places: dict[int, Array] = {}  # by requirement
-        self._restarts = 0
-        self._cycles_before = 0  # of searches that were given up
         self._next_check = 0  # evaluations
         self._interval = CHECK_EVERY
         self._verified: Verified | None = None  # the cheapest
@@ -250,11 +197,6 @@ class RequirementsRun(SearchRun):
         """Whether a rig was found that meets all requirements, refined places included."""
         return self._verified is not None
 
-    @property
-    def cycles(self) -> int:
-        """Cycles so far."""
-        return self._cycles_before + super().cycles
-
     @contextmanager
     def evaluator(
         self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
@@ -267,7 +209,8 @@ class RequirementsRun(SearchRun):
     def _evaluator(
         self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
     ) -> RequirementsEvaluator:
-        return RequirementsEvaluator(self.study, threads, skip, on_evaluations, self._more_places)
+        self._find_midpoint()
+        return RequirementsEvaluator(self.study, threads, skip, on_evaluations, self._more_places, self.places)
 
     def _costs(
         self,
@@ -293,6 +236,8 @@ class RequirementsRun(SearchRun):
 
     def is_over(self, budget: Budget) -> bool:
         """Whether a limit is reached; of seconds, some are left to verify the best rig."""
+        if self.study.only_required and self._is_best_verified:
+            return True
         needed_s = 0.0 if self._is_best_verified else min(self._verify_s, LEFT_MOST * budget.seconds)
         return super().is_over(budget) or (bool(self.history) and time.perf_counter() + needed_s >= budget.deadline)
 
@@ -359,12 +304,16 @@ class RequirementsRun(SearchRun):
     def _restart(self, evaluator: RequirementsEvaluator, points: Array) -> None:
         """Use the added places, and start the solver anew from the best rigs, or from some points."""
         evaluator.add_places(self._more_places)
-        self._restarts += 1
-        self._cycles_before = self.cycles
-        known = [self.best_x] + ([self._verified.x] if self._verified else [])
-        self._search = PointsFirst(self.study, np.concatenate([known, points]), self._restarts)
-        poses = self.study.poses(self.best_x[None])
-        self.best_cost = cost_of(evaluator.costs(poses, np.zeros(1, np.int64), poses, unbounded(1))[0])
+        self._start_anew(evaluator, np.concatenate([self._verified.x[None], points]) if self._verified else points)
+
+    @property
+    def _may_double(self) -> bool:
+        """As of MissesRun, once a rig is verified: nothing else is minimised before."""
+        return super()._may_double and self.is_verified
+
+    def _rivals(self) -> Array:
+        """None: a plain rig need not meet the requirements."""
+        return self._points[:0]
 
     def _schedule(self, interval: int) -> None:
         self._interval = interval
@@ -412,15 +361,16 @@ class RequirementsRun(SearchRun):
             verdict = self._verified.verdict
             self.best_x = x
             self.best_cost = self._verified.cost
-        if self._restarts:
+        if self._more_places:
             places = sum(len(one) for one in self._more_places.values())
             remarks.append(f"{places} places joined those that count in a search, as rigs failed there")
         found = super().placement(interrupted, _with_reasons(self.study, verdict))
         poses = self.study.poses(x[None])[0]
+        objective = found.objective
         if self.study.only_required:
             objective = verdict.least_margin
-        else:
-            objective = self.best_cost.objective if self._meets else self.study.cost(poses)
+        elif not self._meets:
+            objective = self.study.cost(poses)
         return replace(found, objective=objective, remarks=tuple(remarks))
 
 

@@ -27,6 +27,8 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.study_file import COORDINATES, Solver
 from lidarcfg.requirements.verdict import Verdict
+from lidarcfg.returns.known import KnownReturns
+from lidarcfg.returns.misses import MissesFound
 from lidarcfg.sensors.rig import Rig
 
 INFEASIBLE = 1e6  # shortfall of a rig that violates the constraints, by 1 + the violation
@@ -59,12 +61,33 @@ class Log:
 
 
 @dataclass(frozen=True)
+class Compared:
+    """A rig to compare the best one with, at the same fresh places."""
+
+    rig: Rig
+    objective: float
+    misses: MissesFound
+
+
+@dataclass(frozen=True)
+class Believed:
+    """What a search believed of its best rig, from the places that it counted misses at."""
+
+    objective: float
+    places: int  # of each object
+    plain: Compared | None  # the best of the plain rigs; None: there was none
+    midpoint: MissesFound  # of the rig at the midpoint of the bounds
+
+
+@dataclass(frozen=True)
 class Placement:
     """The best rig found, and how it was found."""
 
     rig: Rig
     evaluation: Evaluation
-    objective: float  # of the rig: its max VSR in metres, unless the study asks for something else
+    objective: (
+        float  # of the rig: misses at fresh places or max VSR in metres, unless the study asks for something else
+    )
     midpoint_max_vsr_m: float  # of the rig at the midpoint of the bounds
     history: tuple[Cycle, ...]
     evaluations: int  # trials, not counting first sources and scouts
@@ -79,6 +102,7 @@ class Placement:
     interrupted: bool
     remarks: tuple[str, ...] = ()  # what the verdict does not say of the search
     at_bounds: tuple[str, ...] = ()  # coordinates that ended at a bound, with it
+    believed: Believed | None = None  # where misses were minimised
 
     @property
     def verdict(self) -> Verdict | None:
@@ -119,6 +143,13 @@ class TrialEvaluator(Protocol):
     """Evaluates a study's trials."""
 
     trials: int  # evaluated, in full or until they were refuted
+
+    @property
+    def known(self) -> KnownReturns | None:
+        """The returns at the places where misses are counted; None: they are not."""
+
+    def count_at(self, places: int) -> None:
+        """Count misses at so many places of each object from now on."""
 
     @property
     def smooths(self) -> bool:

@@ -48,7 +48,8 @@ from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.requirements.requirements import Requirements, Site, Source, resolved, sources
 from lidarcfg.requirements.robustness import Robust, mounted
-from lidarcfg.returns.misses import SEARCH, SEARCH_PLACES, Misses, MissesFile
+from lidarcfg.returns.known import KnownReturns
+from lidarcfg.returns.misses import Misses, MissesFile
 from lidarcfg.returns.scanners import scanners_of
 from lidarcfg.returns.target import box_target
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
@@ -208,12 +209,12 @@ class Study:
         return self.rigs[1] * int(self.region.included.sum()) * hidden
 
     def criterion(
-        self, kept: NDArray[np.bool_] = EVERY_CASE, mounts: Sequence[Mount] = (), places: int = SEARCH_PLACES
+        self, kept: NDArray[np.bool_] = EVERY_CASE, mounts: Sequence[Mount] = (), known: KnownReturns | None = None
     ) -> Criterion:
         """The objective for this region and these objects; with `kept`, that of the worst case of failure.
 
-        A rig whose sensors are not the study's needs its mounts here. Misses are counted at so many `places` of each
-        object.
+        A rig whose sensors are not the study's needs its mounts here. Misses are counted at the places of `known`
+        returns; without them, at fresh ones.
         """
         spot = self.objective.blind_spot_m
         around = None if spot is None else self.directions(spot.height_m)
@@ -223,7 +224,7 @@ class Study:
         missed = {one.item.name: MissRate(one, mounts) for one in wanted}
         term = None
         if self.objective.misses and self.misses:
-            term = MissesTerm(self.misses, self.misses.known(places, SEARCH, mounts), mounts)
+            term = MissesTerm(self.misses, known or self.misses.fresh, mounts)
         weight = weights(self.zones, self.region)
         return Criterion(self.objective, self.region, self.detection, around, missed, term, weight, kept)
 

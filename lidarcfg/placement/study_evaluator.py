@@ -5,17 +5,22 @@ soon as more draws reach the cost to beat than may be worse than the quantile, b
 too.
 """
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import TracebackType
 
 import numpy as np
 
 from lidarcfg.geometry import Array
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.evaluator import Evaluator, Index
-from lidarcfg.placement.objective import Recent
+from lidarcfg.placement.objective import EVERY_CASE, Criterion, Recent
 from lidarcfg.placement.study import Study
 from lidarcfg.requirements.robustness import mounted
+from lidarcfg.returns.misses import SEARCH_PLACES
+
+LOOK_S = 0.05  # between two looks at the clock
 
 
 class StudyEvaluator:
@@ -27,26 +32,46 @@ class StudyEvaluator:
         threads: int | None = None,
         skip: bool = True,
         on_evaluations: Callable[[int], None] | None = None,
+        places: int | None = SEARCH_PLACES,
     ) -> None:
+        """Misses are counted at so many `places` of each object; None: at fresh ones."""
+        self._study = study
+        self._threads = threads
+        self._skip = skip
+        self._robust = study.robust
+        self._drawn = study.robust.drawn if study.robust else 0
+        self._on_evaluations = on_evaluations
+        self._refuting: Recent[int] = Recent()  # draws
+        self._sources = self._off_sources = np.empty((0, len(study.slots), 6))
+        self._ended = 0
+        self._seconds = 0.0
+        self._before: list[Evaluator] = []  # that counted misses at other places
+        self.trials = 0  # evaluated, in full or until they were refuted
+        self.count_at(places)
+
+    def count_at(self, places: int | None) -> None:
+        """Count misses at so many places of each object from now on; None: at fresh ones."""
+        study = self._study
         lidars = [slot.lidar for slot in study.slots]
         robust = study.robust
-        self._skip = skip
-        self._robust = robust
-        self._drawn = robust.drawn if robust else 0
-        self._at_rest = None
-        self._off = None
+        known = study.misses.known(places) if places and study.misses and study.objective.misses else None
+        self.known = known
+        if self.trials:
+            self.__exit__(None, None, None)
+            self._before += self._parts
+        self._at_rest = self._off = None
         if robust is None or robust.lost:
-            criterion = study.criterion(robust.kept(len(lidars))) if robust else study.criterion()
-            self._at_rest = Evaluator(study.region, lidars, threads, skip, criterion, visibility=study.visibility)
+            criterion = study.criterion(robust.kept(len(lidars)) if robust else EVERY_CASE, known=known)
+            self._at_rest = self._part(lidars, criterion)
         if robust and robust.drawn:
             self._errors = robust.errors(len(lidars))
-            self._off = Evaluator(study.region, lidars, threads, skip, study.criterion(), visibility=study.visibility)
-        self._refuting: Recent[int] = Recent()  # draws
-        self._sources = self._off_sources = np.empty((0, len(lidars), 6))
-        for one in self._parts:
-            one.on_evaluated = partial(self._evaluated, on_evaluations) if on_evaluations else None
-        self._ended = 0
-        self.trials = 0  # evaluated, in full or until they were refuted
+            self._off = self._part(lidars, study.criterion(known=known))
+
+    def _part(self, lidars: Sequence[Lidar], criterion: Criterion) -> Evaluator:
+        study = self._study
+        one = Evaluator(study.region, lidars, self._threads, self._skip, criterion, visibility=study.visibility)
+        one.on_evaluated = partial(self._evaluated, self._on_evaluations) if self._on_evaluations else None
+        return one
 
     def __enter__(self) -> "StudyEvaluator":
         return self
@@ -66,22 +91,25 @@ class StudyEvaluator:
     @property
     def slice(self) -> int:
         """How many trials are evaluated between two looks at the clock, where there is a deadline."""
-        return min(max(one.slice // max(self._drawn * (one is self._off), 1), 1) for one in self._parts)
+        by_cuboids = min(max(one.slice // max(self._drawn * (one is self._off), 1), 1) for one in self._parts)
+        if self._study.objective_cuts or not self.trials:
+            return by_cuboids if self._study.objective_cuts else 1
+        return min(by_cuboids, max(int(LOOK_S * self.trials / max(self._seconds, 1e-9)), 1))
 
     @property
     def full_evaluations(self) -> int:
         """The number of rigs evaluated in full: several per trial with failures or mounting errors."""
-        return sum(one.full_evaluations for one in self._parts)
+        return sum(one.full_evaluations for one in [*self._before, *self._parts])
 
     @property
     def cuboids(self) -> int:
         """The number of cuboids evaluated."""
-        return sum(one.cuboids for one in self._parts)
+        return sum(one.cuboids for one in [*self._before, *self._parts])
 
     @property
     def segments(self) -> int:
         """The number of segments cast from LiDARs to cuboids, at most."""
-        return sum(one.segments for one in self._parts)
+        return sum(one.segments for one in [*self._before, *self._parts])
 
     @property
     def smooths(self) -> bool:
@@ -93,6 +121,7 @@ class StudyEvaluator:
     ) -> Array:
         """(n,) the costs, or inf where one is not below `upper_bound` (n,). See Evaluator.costs."""
         cost = np.full(len(poses), -np.inf)
+        began = time.perf_counter()
         self.trials += len(poses)
         if self._at_rest:
             cost = self._at_rest.costs(poses, source, source_poses, upper_bound, smoothing if self.smooths else 0.0)
@@ -100,6 +129,7 @@ class StudyEvaluator:
             some = np.flatnonzero(cost < (upper_bound if self._skip else np.inf))
             off = self._quantiles(self._off, poses[some], source[some], source_poses, upper_bound[some])
             cost[some] = np.maximum(cost[some], off)
+        self._seconds += time.perf_counter() - began
         return cost
 
     def _quantiles(

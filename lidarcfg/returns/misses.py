@@ -143,13 +143,11 @@ class MissesFound:
         above = float(np.linalg.norm(self.weights * (high - share)))
         return max(self.mean - below, 0.0), min(self.mean + above, 1.0)
 
-    def fewer_than(self, other: "MissesFound") -> Interval:
-        """The interval of 95 % of how much less often objects are missed than by another rig at the same places."""
+    def compared(self, other: "MissesFound") -> tuple[float, float]:
+        """How much less is missed than by another rig at the same places, and the standard error of that."""
         change = [b.probability - a.probability for a, b in zip(self.objects, other.objects, strict=True)]
-        mean = other.mean - self.mean
         variance = np.array([np.var(one, ddof=1) / len(one) for one in change])
-        half = Z_95 * math.sqrt(float(self.weights**2 @ variance))
-        return mean - half, mean + half
+        return other.mean - self.mean, math.sqrt(float(self.weights**2 @ variance))
 
     def to_dict(self) -> dict[str, Any]:
         """As a JSON object."""
@@ -194,20 +192,22 @@ class Misses:
         """(objects,) of the mean."""
         return np.array([one.weight for one in self.objects])
 
-    def known(self, count: int, purpose: int, mounts: Sequence[Mount] = ()) -> KnownReturns:
-        """The returns at so many places of each object, of which nothing is known yet."""
-        standing = [Standing(one.target, one.places(count, purpose)) for one in self.objects]
-        return KnownReturns(standing, self.obstacles, mounts)
+    def known(self, count: int) -> KnownReturns:
+        """The returns at so many places of each object, for a search; nothing is known of them yet."""
+        standing = [Standing(one.target, one.places(count, SEARCH)) for one in self.objects]
+        return KnownReturns(standing, self.obstacles)
 
     @cached_property
-    def _fresh(self) -> KnownReturns:
-        return self.known(FRESH_PLACES, FRESH)
+    def fresh(self) -> KnownReturns:
+        """The returns at fresh places, which no search has seen."""
+        standing = [Standing(one.target, one.places(FRESH_PLACES, FRESH)) for one in self.objects]
+        return KnownReturns(standing, self.obstacles)
 
     def found(
         self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
     ) -> MissesFound:
         """How often a rig misses each object at fresh places. Raises ConfigError for sensors that lack facts."""
-        return self.found_at(self._fresh, mounts, on_progress)
+        return self.found_at(self.fresh, mounts, on_progress)
 
     def found_at(
         self, known: KnownReturns, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None

@@ -16,28 +16,28 @@ from lidarcfg.placement.solvers.search import Coordinates, Search
 from lidarcfg.placement.study_file import Solver
 
 
-def _auto(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
+def _auto(coordinates: Coordinates, solver: Solver, starts: Array | None) -> Search:
     from lidarcfg.placement.solvers.auto import Auto
 
-    return Auto(coordinates, solver.seed, start)
+    return Auto(coordinates, solver.seed, starts)
 
 
-def _abc(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
+def _abc(coordinates: Coordinates, solver: Solver, starts: Array | None) -> Search:
     from lidarcfg.placement.solvers.bee_colony import BeeColony
 
     return BeeColony(len(coordinates), solver.bees, solver.limit or solver.bees * len(coordinates), solver.seed)
 
 
-def _cmaes(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
+def _cmaes(coordinates: Coordinates, solver: Solver, starts: Array | None) -> Search:
     from lidarcfg.placement.solvers.cma_es import CmaEs
 
-    return CmaEs(len(coordinates), solver.seed, start)
+    return CmaEs(len(coordinates), solver.seed, None if starts is None else starts[0])
 
 
-def _annealing(coordinates: Coordinates, solver: Solver, start: Array | None) -> Search:
+def _annealing(coordinates: Coordinates, solver: Solver, starts: Array | None) -> Search:
     from lidarcfg.placement.solvers.annealing import AnnealingRounds
 
-    return AnnealingRounds(coordinates, solver.seed, start)
+    return AnnealingRounds(coordinates, solver.seed, starts)
 
 
 SOLVERS: dict[str, Callable[[Coordinates, Solver, Array | None], Search]] = {
@@ -48,9 +48,9 @@ SOLVERS: dict[str, Callable[[Coordinates, Solver, Array | None], Search]] = {
 }
 
 
-def start_search(solver: Solver, coordinates: Coordinates, start: Array | None = None) -> Search:
+def start_search(solver: Solver, coordinates: Coordinates, starts: Array | None = None) -> Search:
     """The search that a study's solver settings describe, over some coordinates.
 
-    `start` (dimensions,): a good point, near which solvers begin that begin near one; `abc` does not.
+    `starts` (s, dimensions): good points, the best first, near which all but `abc` begin.
     """
-    return SOLVERS[solver.method](coordinates, solver, start)
+    return SOLVERS[solver.method](coordinates, solver, starts)

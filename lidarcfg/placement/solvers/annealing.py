@@ -67,9 +67,9 @@ REFINING = 0.25  # the work of refining what a round found, by the round's
 class Annealing:
     """One run with about `work` for each population; `over` once that is done.
 
-    Coordinates of a group move together. `start` (dimensions,): where all chains begin, less hot; without it each one
-    begins at a random point. With `smoothing`, costs are smoothed, but now and then, and at the end, it asks for those
-    of its chains without. Of several populations the best one goes on alone, once it shows which that is.
+    Coordinates of a group move together. `starts` (s, dimensions): where chains begin, in turn and less hot; without
+    them each one begins at a random point. With `smoothing`, costs are smoothed, but now and then, and at the end, it
+    asks for those of its chains without. Of several populations the best goes on alone, once it shows which that is.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Annealing:
         coordinates: Coordinates,
         rng: np.random.Generator,
         work: float,
-        start: Array | None = None,
+        starts: Array | None = None,
         smoothing: float = 0.0,
         populations: int = 1,
     ) -> None:
@@ -89,10 +89,10 @@ class Annealing:
         self._members = np.unique(coordinates.group)[:, None] == coordinates.group
         self._counterpart = _counterparts(coordinates.kind, self._members)
         self._x = rng.random((populations * CHAINS, len(coordinates)))
-        if start is not None:
-            self._x[:] = start
+        if starts is not None:
+            self._x[:] = starts[np.arange(len(self._x)) % len(starts)]
         self._cost = unbounded(len(self._x))
-        self._hot = T_START if start is None else T_RESTART
+        self._hot = T_START if starts is None else T_RESTART
         self._work = work / CHAINS  # of each
         self.over = False
         self._asked = self._positions(smoothing)
@@ -208,11 +208,11 @@ def _counterparts(kind: NDArray[np.int64], members: NDArray[np.bool_]) -> NDArra
 class AnnealingRounds(Runs):
     """Rounds of annealing: first a short one, for an early result, then longer and longer ones.
 
-    The best end of a round so far is refined by another run. `start` (dimensions,), if given, is refined before the
-    first round.
+    The best end of a round so far is refined by another run. `starts` (s, dimensions), if given, are refined together
+    before the first round.
     """
 
-    def __init__(self, coordinates: Coordinates, seed: int, start: Array | None = None) -> None:
+    def __init__(self, coordinates: Coordinates, seed: int, starts: Array | None = None) -> None:
         super().__init__(len(coordinates))
         self._rng = np.random.default_rng(seed)
         self._coordinates = coordinates
@@ -220,7 +220,7 @@ class AnnealingRounds(Runs):
         self._end_x = self.best_x  # the best of the current round
         self._end = NO_COST  # its cost
         self._record = NO_COST  # the best end of a round before
-        self._run = self._round() if start is None else self._refining(start)
+        self._run = self._round() if starts is None else self._refining(starts)
 
     @property
     def _work(self) -> float:
@@ -234,9 +234,9 @@ class AnnealingRounds(Runs):
         smoothing = SMOOTHING if self.rounds > 1 else 0.0
         return Annealing(self._coordinates, self._rng, self._work, None, smoothing, POPULATIONS)
 
-    def _refining(self, start: Array) -> Annealing:
+    def _refining(self, starts: Array) -> Annealing:
         self._refines = True
-        return Annealing(self._coordinates, self._rng, REFINING * self._work, start)
+        return Annealing(self._coordinates, self._rng, REFINING * self._work, starts)
 
     def tell(self, cost: Array) -> None:
         """The costs (n, 2) of the trials."""
@@ -250,6 +250,6 @@ class AnnealingRounds(Runs):
     def _follow(self) -> None:
         if self._end < self._record and not self._refines:
             self._record = self._end
-            self._run = self._refining(self._end_x)
+            self._run = self._refining(self._end_x[None])
         else:
             self._run = self._round()

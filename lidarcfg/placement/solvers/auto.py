@@ -19,14 +19,14 @@ EVALUATIONS = 200  # of CMA-ES at most, per dimension
 
 
 class Auto(Best):
-    """Random points, one run of CMA-ES, and rounds of annealing. `start` (dimensions,) is among the points."""
+    """Random points, one run of CMA-ES, and rounds of annealing. `starts` (s, dimensions) are among the points."""
 
-    def __init__(self, coordinates: Coordinates, seed: int, start: Array | None = None) -> None:
+    def __init__(self, coordinates: Coordinates, seed: int, starts: Array | None = None) -> None:
         self._rng = np.random.default_rng(seed)
         self._coordinates = coordinates
         self._points = self._rng.random((POINTS, len(coordinates)))
-        if start is not None:
-            self._points[0] = start
+        if starts is not None:
+            self._points[: len(starts)] = starts
         self._run: CmaEs | AnnealingRounds | None = None
         self._left = EVALUATIONS * len(coordinates)
         self.cycles = 0
@@ -57,7 +57,7 @@ class Auto(Best):
         if isinstance(self._run, CmaEs):
             self._left -= len(cost)
             if self._run.over or self._left <= 0:
-                self._run = AnnealingRounds(self._coordinates, self._seed(), self.best_x)
+                self._run = AnnealingRounds(self._coordinates, self._seed(), self.best_x[None])
 
     def _seed(self) -> int:
         return int(self._rng.integers(2**63))
