@@ -25,6 +25,7 @@ from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.requirements.posts import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
+from lidarcfg.returns.misses import MissesFound
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import check_outside
@@ -151,6 +152,7 @@ class Evaluation:
     seconds: float
     robustness: Robustness | None = None  # where it was asked for, and is cheap
     posts: tuple[PostVisibility, ...] = ()  # where posts of HEIGHTS_M are seen, where that was asked for and is known
+    misses: MissesFound | None = None  # at fresh places; None: no vehicle, or sensors lack facts
     verdict: Verdict | None = None  # of a study with requirements
     verifier: Verifier | None = None  # that reached it, if it was reached here: it knows the rig's counts
 
@@ -199,6 +201,7 @@ def evaluate(
     rates = _rates(study, subspaces, seen, counted)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
     zones = max_vsr_by_zone(study.zones, subspaces)
+    misses = misses_of(study, rig)
     verifier = None
     if study.requirements and verdict is None:
         verifier = Verifier(study.requirements)
@@ -217,9 +220,25 @@ def evaluate(
         zones=zones,
         analytic=converged,
         seconds=seconds,
+        misses=misses,
         verdict=verdict,
         verifier=verifier,
     )
+
+
+def misses_of(study: Study, rig: Rig) -> MissesFound | None:
+    """How often a rig misses objects around the study's vehicle; None without one, or if its sensors lack facts.
+
+    Raises ConfigError for the latter where misses are what the study minimises.
+    """
+    if study.misses is None:
+        return None
+    try:
+        return study.misses.found(rig.mounts)
+    except ConfigError:
+        if study.objective.misses:
+            raise
+        return None
 
 
 def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, spheres: Spheres, where: dict[int, Extent]) -> tuple[Worst, ...]:

@@ -22,7 +22,7 @@ from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.evaluation import OFFSETS, STEP_DEG, STEP_M, Evaluation, Robustness
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.return_counts import STEP_M as STEP_M_OF_RETURNS
-from lidarcfg.placement.search_run import Log, Placement
+from lidarcfg.placement.search_run import Believed, Log, Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
 from lidarcfg.report.document import Baseline, Commands, report
@@ -47,6 +47,7 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "seed": None,
         "version": __version__,
         "solver": None,
+        "misses": found.misses and found.misses.to_dict(),
         "detection": {name: detection.rate for name, detection in found.detection.items()},
         "detection_half_width": {name: detection.half_width for name, detection in found.detection.items()},
         "detection_returns": {
@@ -131,6 +132,7 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
         "objective": found.objective if math.isfinite(found.objective) else None,
         "at_bounds": list(found.at_bounds),
         **({"remarks": list(found.remarks)} if found.remarks else {}),
+        "believed": found.believed and _believed(found.believed),
         "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
         "evaluations": found.evaluations,
         "first_evaluations": found.first_evaluations,
@@ -145,6 +147,18 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
             "cuboids": max(cut * rigs * study.region.included.size - found.cuboids, 0),
             "segments": max(cut * found.evaluated * study.segments - found.segments, 0),
         },
+    }
+
+
+def _believed(told: Believed) -> dict[str, Any]:
+    """What a search believed, and the rigs that its result is compared with at fresh places."""
+    plain = told.plain
+    return {
+        "objective": told.objective,
+        "places_per_object": told.places,
+        "best_plain": plain
+        and {"objective": plain.objective, "misses": plain.misses.to_dict(), "rig": rig_to_dict(plain.rig)},
+        "midpoint": {"misses": told.midpoint.to_dict()},
     }
 
 
