@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 Times = NDArray[np.int64]  # nanoseconds, and other whole numbers
 Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
+CHUNK = 4096  # vectors, which stay in the processor's cache
 UPRIGHT = 1e-9  # horizontal part of the x axis, below which a frame has no yaw of its own
 
 
@@ -87,10 +88,7 @@ def leaning(axis: Array, yaw_rad: Array) -> Array:
 
 def turned(rpy_rad: ArrayLike, by_rad: ArrayLike) -> Array:
     """(…, 3, 3) R(rpy) R(by): frames with roll, pitch, yaw (…, 3), rotated further about their own axes."""
-    first = rotations(rpy_rad)
-    second = rotations(by_rad)
-    product: Array = np.sum(first[..., :, :, None] * second[..., None, :, :], axis=-2)
-    return product
+    return product(rotations(rpy_rad), rotations(by_rad))
 
 
 def angles(R: Array) -> Array:
@@ -124,6 +122,16 @@ def quaternions(R: Array) -> Array:
     return unit
 
 
+def rotation_vectors(R: Array) -> Array:
+    """(N, 3) the axes of rotations R (N, 3, 3), each as long as its angle in radians, at most half a turn."""
+    found = quaternions(R)
+    found *= np.where(found[:, 3:] < 0, -1.0, 1.0)
+    sine = np.linalg.norm(found[:, :3], axis=1)
+    angle_rad = 2 * maths.atan2(sine, found[:, 3])
+    scale = np.divide(angle_rad, sine, out=np.full(len(sine), 2.0), where=sine > 0)
+    return np.asarray(found[:, :3] * scale[:, None])
+
+
 def pose(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array) -> Array:
     """T_parent_child (4, 4): child → parent, from the child's position and angles in the parent."""
     T = np.eye(4)
@@ -137,13 +145,34 @@ def inverse(T: Array) -> Array:
     R = T[:3, :3]
     out = np.eye(4)
     out[:3, :3] = R.T
-    out[:3, 3] = -R.T @ T[:3, 3]
+    out[:3, 3] = -rotated(R.T, T[None, :3, 3])[0]
+    return out
+
+
+def product(first: Array, second: Array) -> Array:
+    """(…, i, k) the matrix product of (…, i, j) and (…, j, k), its terms added in order.
+
+    How numpy's `@` adds them is left to BLAS, which does it differently from processor to processor.
+    """
+    out: Array = first[..., :, :1] * second[..., :1, :]
+    for j in range(1, first.shape[-1]):
+        out = out + first[..., :, j : j + 1] * second[..., j : j + 1, :]
+    return out
+
+
+def rotated(R: Array, vectors: Array) -> Array:
+    """(N, 3) R (3, 3) times vectors (N, 3), as `product` has it."""
+    out = np.empty(vectors.shape)
+    for first in range(0, len(vectors), CHUNK):
+        x, y, z = vectors[first : first + CHUNK].T
+        for axis in range(3):
+            out[first : first + CHUNK, axis] = R[axis, 0] * x + R[axis, 1] * y + R[axis, 2] * z
     return out
 
 
 def transform(T: Array, points: ArrayLike) -> Array:
     """Points (N, 3) moved by T (4, 4), in float64."""
-    return np.asarray(points, np.float64) @ T[:3, :3].T + T[:3, 3]
+    return rotated(T[:3, :3], np.asarray(points, np.float64)) + T[:3, 3]
 
 
 def directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Array:

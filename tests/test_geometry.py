@@ -46,6 +46,39 @@ def test_quaternions_of_half_and_third_turns(half):
     assert np.linalg.norm(found) == pytest.approx(1.0, abs=1e-15)
 
 
+@given(st.lists(angles, min_size=1, max_size=5))
+def test_rotation_vectors_are_those_of_scipy(many):
+    """By the rotations that they say; half a turn may be about either end of its axis."""
+    R = np.array([geometry.rotation(rpy) for rpy in many])
+    found = geometry.rotation_vectors(R)
+    assert Rotation.from_rotvec(found).as_matrix() == pytest.approx(R, abs=1e-14)
+    theirs = Rotation.from_matrix(R).as_rotvec()
+    less = np.linalg.norm(theirs, axis=1) < 3.1
+    assert found[less] == pytest.approx(theirs[less], abs=1e-13)
+
+
+def test_rotation_vectors_of_nothing_and_of_little():
+    assert geometry.rotation_vectors(np.eye(3)[None]).tolist() == [[0.0, 0.0, 0.0]]
+    turned = Rotation.from_rotvec([3e-9, 0, -4e-9]).as_matrix()[None]
+    assert geometry.rotation_vectors(turned)[0] == pytest.approx([3e-9, 0, -4e-9], abs=1e-16)
+
+
+def test_products_are_those_of_plain_loops():
+    """Each term rounded, and each sum, in order: not as a processor may fuse them."""
+    rng = np.random.default_rng(1)
+    first, second = rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 3, 2))
+    found = geometry.product(first, second)
+    vectors = geometry.rotated(first[0, :3], second.swapaxes(1, 2).reshape(-1, 3))
+    for n, i, k in np.ndindex(4, 5, 2):
+        terms = [float(first[n, i, j]) * float(second[n, j, k]) for j in range(3)]
+        assert found[n, i, k] == terms[0] + terms[1] + terms[2]
+        if i < 3:
+            terms = [float(first[0, i, j]) * float(second[n, j, k]) for j in range(3)]
+            assert vectors[2 * n + k, i] == terms[0] + terms[1] + terms[2]
+    many = rng.normal(size=(10_000, 3))
+    assert geometry.rotated(first[0, :3], many) == pytest.approx(many @ first[0, :3].T, abs=1e-14)
+
+
 @given(places, angles)
 def test_a_pose_times_its_inverse_is_nothing(position, rpy):
     T = geometry.pose(position, rpy)

@@ -134,7 +134,7 @@ def quadrics(shape: Outline, lidar: Lidar, visibility: Visibility) -> Quadrics:
         rows.append((flat, upright, lidar.position_m[2] - shape.ground_m, nothing, np.inf))
     for x, y, z, radius, height in shape.rounds - np.append(lidar.position_m, (0.0, 0.0)):
         centre = np.array((x, y, z))
-        square = centre @ centre - radius**2
+        square = float(np.square(centre).sum()) - radius**2
         if np.isnan(height):
             if square > 0.0:
                 rows.append((np.outer(centre, centre) - square * np.eye(3), nothing, 0.0, centre, radius))

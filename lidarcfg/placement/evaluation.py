@@ -65,7 +65,7 @@ class Robustness:
     def slope_m(self) -> Array:
         """(lidars, 6) the change of max VSR per step: the slope of the best line through the whole rig's value."""
         off = np.array(OFFSETS, np.float64)
-        slope: Array = self.change_m @ off / (off @ off)
+        slope: Array = (self.change_m * off).sum(axis=-1) / np.square(off).sum()
         return slope
 
     @property

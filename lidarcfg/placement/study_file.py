@@ -277,7 +277,7 @@ def _check_constraints(file: StudyFile) -> None:
             continue
         boxes += [(i, _mirrored(box, group.mirror_y_m) if number % 2 else box) for number in range(group.count)]
     for (i, one), (j, other) in combinations(boxes, 2):
-        most_m = float(np.linalg.norm(np.maximum(one[1] - other[0], other[1] - one[0])))
+        most_m = math.hypot(*np.maximum(one[1] - other[0], other[1] - one[0]))
         if most_m < apart_m:
             which = f"two of sensors[{i}]" if i == j else f"sensors[{i}] and sensors[{j}]"
             what = f"{apart_m:g} is impossible: {which} are at most {most_m:.4g} m apart within their bounds"

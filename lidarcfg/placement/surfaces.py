@@ -249,7 +249,7 @@ class Surface:
         for axis in self.across:
             offset = self._disc_m[:, axis]
             for k in range(1, len(DISC)):
-                normals[:, axis] -= rise[:, k] * (offset[k] / float(offset @ offset))
+                normals[:, axis] -= rise[:, k] * (offset[k] / float(np.square(offset).sum()))
         normals /= np.sqrt(normals[:, 0] ** 2 + normals[:, 1] ** 2 + normals[:, 2] ** 2)[:, None]
         return normals
 

@@ -83,8 +83,8 @@ class Visibility:
                     raise ValueError("a LiDAR with a field of view needs to say where its x axis points")
                 first, last = (np.array([maths.cos(angle), maths.sin(angle)]) for angle in one.azimuth_fov)
                 first[abs(first) < EXACT] = last[abs(last) < EXACT] = 0.0
-                row[..., 2:5] = known @ (-first[1], -first[0])
-                row[..., 5:8] = known @ (last[1], last[0])
+                row[..., 2:5] = -(known[..., 0] * first[1] + known[..., 1] * first[0])
+                row[..., 5:8] = known[..., 0] * last[1] + known[..., 1] * last[0]
                 width = (one.azimuth_fov[1] - one.azimuth_fov[0]) % (2 * np.pi)
                 row[..., 8] = WITHIN if width <= np.pi else BEYOND
         return out

@@ -60,7 +60,7 @@ class PostPlaces:
         azimuth = 2 * math.pi / AZIMUTHS * np.arange(AZIMUTHS)
         way = np.stack([maths.cos(azimuth), maths.sin(azimuth)], axis=1)
         low, high = body.bounds_m
-        diagonal_m = float(np.linalg.norm(high - low))
+        diagonal_m = math.dist(low, high)
         beyond = body.middle_m + way * diagonal_m
         lines = shapely.linestrings(np.stack([np.broadcast_to(body.middle_m, beyond.shape), beyond], axis=1))
         inside = shapely.intersection(lines, body.shape)

@@ -121,7 +121,7 @@ class Scenario:
     def ball(self) -> tuple[Array, float]:
         """A ball that holds the target: its middle (3,), relative to the target's place, and its radius in metres."""
         low, high = self.target.box_m
-        return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+        return 0.5 * (low + high), 0.5 * math.dist(low, high)
 
 
 def presets() -> dict[str, Path]:

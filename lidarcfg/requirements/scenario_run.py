@@ -169,7 +169,7 @@ def _may_hit(approach: Approach, range_m: float, frame: _Frame, middle_s: float,
     center_m = approach.target_points(middle_m[None], middle_s)
     center_m[:, :2] -= approach.velocity_m_s * middle_s
     toward = transform(frame.T_sensor_vehicle, center_m)[0]
-    distance_m = float(np.linalg.norm(toward))
+    distance_m = math.hypot(*toward)
     if distance_m - reach_m > range_m:
         return np.empty(0, np.int64)
     if distance_m <= reach_m:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lidarcfg import maths
 from lidarcfg.core import world
-from lidarcfg.geometry import Array, inverse, transform
+from lidarcfg.geometry import Array, inverse, rotated, transform
 from lidarcfg.returns.scanners import PHASES, scanner
 from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import Mount
@@ -74,8 +74,8 @@ def passing_beams(place: Array, target: Target, mount: Mount, phase: int, obstac
     )
     R = mount.T_vehicle_sensor[:3, :3]
     origin_m = np.array(mount.position_m)
-    way = way @ R.T
-    start_m = start_m @ R.T
+    way = rotated(R, way)
+    start_m = rotated(R, start_m)
     T_vehicle_object = _pose(place)
     corners = transform(T_vehicle_object, target.mesh[0] - target.origin_m) - origin_m
     middle = corners.mean(axis=0)
@@ -83,7 +83,7 @@ def passing_beams(place: Array, target: Target, mount: Mount, phase: int, obstac
     seen_rad = _angles(corners, middle_rad)
     low, high = seen_rad.min(axis=0), seen_rad.max(axis=0)
     margin = np.maximum(MARGIN * (high - low), MARGIN_RAD)
-    passes_rad = _angles(start_m + float(np.linalg.norm(middle)) * way, middle_rad)
+    passes_rad = _angles(start_m + math.hypot(*middle) * way, middle_rad)
     near = ((passes_rad >= low - margin) & (passes_rad <= high + margin)).all(axis=1)
     way = way[near]
     gate = gate[near]
@@ -120,7 +120,7 @@ def _angles(points: Array, middle_rad: float) -> Array:
 def _ranges(T_object_vehicle: Array, starts_m: Array, way: Array, target: Target, most_m: float) -> Array:
     """(N,) how far along each ray the object is; inf where it is missed."""
     origins = np.ascontiguousarray(transform(T_object_vehicle, starts_m).T)
-    directions = np.ascontiguousarray((way @ T_object_vehicle[:3, :3].T).T)
+    directions = np.ascontiguousarray(rotated(T_object_vehicle[:3, :3], way).T)
     range_m = np.full(len(way), np.inf)
     slot = np.full(len(way), NO_SLOT, np.int32)
     world.first_hits(target.bvh, origins, directions, most_m + BEYOND_M, range_m, slot)

@@ -132,12 +132,12 @@ class Stand:
 
     def _reach_m(self, headings_rad: Array) -> tuple[Array, Array]:
         """(P, 2) each: the lower and the upper corner of the object's bounds at some headings, about its place."""
-        corners = np.concatenate(self.footprint.outlines_m)
+        x, y = np.concatenate(self.footprint.outlines_m).T
         values, index = np.unique(headings_rad, return_inverse=True)
         low, high = np.empty((len(values), 2)), np.empty((len(values), 2))
         for n, heading in enumerate(values):
             c, s = maths.cos(heading), maths.sin(heading)
-            turned = corners @ np.array([[c, s], [-s, c]])
+            turned = np.stack([c * x - s * y, s * x + c * y], axis=1)
             low[n], high[n] = turned.min(axis=0), turned.max(axis=0)
         return low[index], high[index]
 
@@ -163,7 +163,7 @@ class Stand:
 
     def spread(self, places: Array) -> Array:
         """(P,) from 0 to 1: the first places (P, 4) by this order are spread evenly over a grid."""
-        return np.asarray((places[:, :2] @ SPREAD / self.near_step_m) % 1)
+        return np.asarray((places[:, 0] * SPREAD[0] + places[:, 1] * SPREAD[1]) / self.near_step_m % 1)
 
     @cached_property
     def edge(self) -> Array:

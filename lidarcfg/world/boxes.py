@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array, rotation
+from lidarcfg.geometry import Array, product, rotated, rotation
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import MotionPath, build_path
 from lidarcfg.world.scene import Scene
@@ -33,8 +33,8 @@ class BoxedObject:
         T[:3, 3] = self.center_m
         if self.path:
             R, t = (values[0] for values in self.path.at(np.array([seconds])))
-            T[:3, :3] = R @ self.R
-            T[:3, 3] = self.place_m + t + R @ (self.center_m - self.place_m)
+            T[:3, :3] = product(R, self.R)
+            T[:3, 3] = self.place_m + t + rotated(R, (self.center_m - self.place_m)[None])[0]
         return T
 
 
@@ -80,10 +80,10 @@ def _box_of(item: SceneObject, scene: Scene, index: int) -> tuple[Array, Array, 
     if isinstance(item, Plane):
         return np.array(item.center_m), np.array([*item.size_m, 0.0]), R
     corners = scene.vertices_m[np.unique(scene.triangles[scene.triangle_object == index])]
-    own = (corners - scene.places_m[index]) @ R
+    own = rotated(R.T, corners - scene.places_m[index])
     low = own.min(axis=0)
     high = own.max(axis=0)
-    return scene.places_m[index] + R @ ((low + high) / 2), high - low, R
+    return scene.places_m[index] + rotated(R, (low + high)[None] / 2)[0], high - low, R
 
 
 Hits = tuple[NDArray[np.int32], NDArray[np.int64]]  # of a scan's points (P,): the objects, and the times

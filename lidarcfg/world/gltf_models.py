@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from lidarcfg.errors import SceneError
-from lidarcfg.geometry import transform
+from lidarcfg.geometry import product, transform
 from lidarcfg.world.gltf import SUFFIXES, check_nodes
 from lidarcfg.world.meshes import FILE_MAX, Mesh, check_mesh, check_readable, join_meshes, place_mesh
 from lidarcfg.world.scene_file import GltfModel
@@ -94,7 +94,8 @@ def _geometries(path: Path, scene: "trimesh.Scene") -> Iterator[tuple[str, str, 
             continue
         node = scene.graph.transforms.parents[name] if shape.metadata.get(SEVERAL) else name
         material = getattr(getattr(shape.visual, "material", None), "name", None) or ""
-        mesh = transform(Z_UP @ T_scene_node, np.array(shape.vertices, np.float64)), np.array(shape.faces, np.int64)
+        vertices = transform(product(Z_UP, T_scene_node), np.array(shape.vertices, np.float64))
+        mesh = vertices, np.array(shape.faces, np.int64)
         check_mesh(f"{path}: node {node!r}", mesh)
         if not np.ptp(mesh[0], axis=0).any():
             raise SceneError(f"{path}: node {node!r} is a single point; if the file is compressed, export it without")

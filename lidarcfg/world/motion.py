@@ -1,5 +1,6 @@
 """The motion of an object or a vehicle: a constant velocity, an arc, or timed poses."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +14,7 @@ from lidarcfg.config.models import Model, Vec3, load, validation_error
 from lidarcfg.core import world
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
-from lidarcfg.geometry import Array, rotation, transform
+from lidarcfg.geometry import Array, product, rotated, rotation, rotation_vectors, transform
 from lidarcfg.inputs import read_regular
 from lidarcfg.units import SECOND_NS
 
@@ -136,7 +137,7 @@ class MotionPath:
     def speed_max_m_s(self) -> float:
         """An upper bound of the speed along the path."""
         if self.motion.velocity_m_s is not None:
-            return float(np.linalg.norm(self.motion.velocity_m_s))
+            return math.hypot(*self.motion.velocity_m_s)
         if self.motion.arc is not None:
             return abs(self.motion.arc.speed_m_s)
         return float((np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1) / np.diff(self.times_s)).max())
@@ -165,10 +166,7 @@ def _matrices(quaternions_xyzw: Array) -> Array:
 def _path(motion: Motion, times_s: Array, positions_m: Array, rotations: Array) -> MotionPath:
     vectors = np.zeros((len(rotations), 3))
     if len(rotations):
-        from scipy.spatial.transform import Rotation
-
-        attitudes = Rotation.from_matrix(rotations)
-        vectors[:-1] = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
+        vectors[:-1] = rotation_vectors(product(rotations[:-1].swapaxes(1, 2), rotations[1:]))
     return MotionPath(motion, times_s, positions_m, rotations, vectors)
 
 
@@ -225,7 +223,7 @@ class Trajectory:
         T = np.eye(4)
         T[:3, :3] = R[0]
         T[:3, 3] = t[0]
-        return np.asarray(self.T_world_start @ T)
+        return product(self.T_world_start, T)
 
     def velocity_m_s(self, time_ns: NDArray[np.int64]) -> Array:
         """(n, 3) in the world: the mean over the millisecond around each time (n,), as far as the poses cover it."""
@@ -234,13 +232,13 @@ class Trajectory:
         ends = np.stack([time_ns - STEP_NS // 2, time_ns + STEP_NS // 2])
         if len(self.path.times_s):
             ends = np.clip(ends, *(self.zero_ns + np.round(self.path.times_s[[0, -1]] * SECOND_NS).astype(np.int64)))
-        before, after = (self.motion(end)[1] @ self.T_world_start[:3, :3].T for end in ends)
+        before, after = (rotated(self.T_world_start[:3, :3], self.motion(end)[1]) for end in ends)
         return np.asarray((after - before) * (SECOND_NS / np.diff(ends, axis=0).T))
 
 
 def rotate(R: Array, vectors: Array) -> Array:
     """Vectors (n, 3) rotated by R: one matrix each (n, 3, 3), or one for all (1, 3, 3)."""
-    out: Array = vectors @ R[0].T if len(R) == 1 else np.einsum("nij,nj->ni", R, vectors)
+    out: Array = rotated(R[0], vectors) if len(R) == 1 else np.einsum("nij,nj->ni", R, vectors)
     return out
 
 

@@ -1,4 +1,4 @@
-"""The recorded answers on a lesser processor: without AVX2 and FMA in the core, in the system's library and in numpy."""
+"""The recorded answers on a lesser processor: without AVX2 and FMA in the core, the system's library, numpy and BLAS."""
 
 import os
 import platform
@@ -13,8 +13,9 @@ LESSER = {
     "LIDARCFG_CORE": "v2",
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX2_Usable,-FMA_Usable",
     "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL",
+    "OPENBLAS_CORETYPE": "Nehalem",
 }
-OWN_EXP = "not cmaes and not auto"  # cma takes numpy's exp, whose last bit is the processor's
+OWN_EXP = "not cmaes and not auto"  # cma takes numpy's exp and BLAS, whose last bits are the processor's
 BRIEF = f"{OWN_EXP} and not search and not car"  # every kernel; searches around a car by night
 
 

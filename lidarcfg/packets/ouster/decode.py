@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array, Bytes, Flags, Times, transform
+from lidarcfg.geometry import Array, Bytes, Flags, Times, product, transform
 from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns
 from lidarcfg.packets.ouster.layout import (
     CONSTANT,
@@ -191,7 +191,7 @@ def _beams(metadata: Metadata) -> Beams:
     ahead_m, up_m = metadata.start_m
     count = metadata.layout.columns_per_frame
     angle = 2 * math.pi * (1 - np.arange(count) / count)
-    heading = np.stack([maths.cos(angle), maths.sin(angle)], axis=1) @ T[:2, :2].T
+    heading = product(np.stack([maths.cos(angle), maths.sin(angle)], axis=1), T[:2, :2].T)
     return_types = STRONGEST, LAST if metadata.nearest_first else SECOND
     x, y, z = T[:3, 3].tolist()
     return Beams(
