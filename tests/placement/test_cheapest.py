@@ -159,3 +159,25 @@ def test_what_has_no_rig_yet_is_searched_on(folder):
     assert found.combination.price == 9000
     assert (roof.failing, roof.meets, roof.excluded) == (("the constraints",), False, None)
     assert roof.evaluations > 0
+
+
+def test_beams_that_start_ahead_of_a_sensor_reach_farther(tmp_path):
+    """Of a range of 3 m, 0.4 m ahead: a box 3.34 m away, whose farthest corner is 0.12 m from its place, gets returns."""
+    beams = {"elevation_deg": [-2, 0, 2], "forward_offset_mm": [400, 400, 400]}
+    sensor = {"name": "arm", "beams": beams, "firing": {"step_deg": 0.2}, "range": {"min_m": 0.1, "max_m": 3}}
+    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(sensor))
+    pose = {"position_m": [0, 0, 0.05], "rpy_deg": [0, 0, 0]}
+    box = {
+        "name": "box",
+        "object": {"size_m": [0.1, 0.1, 0.1]},
+        "region": {"min_m": [3.28, -0.06, -0.1], "max_m": [3.4, 0.06, 1]},
+        "headings_deg": [0],
+        "returns": 1,
+    }
+    values = {"region": REGION, "sensors": [{"model": "arm.yaml", "min": pose, "max": pose}], "requirements": [box]}
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(values))
+    study = load_study(tmp_path / "study.yaml")
+    assert Verifier(study.requirements).verify(study.rig(study.lower).mounts).passed
+    assert unachievable(study) == {}
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(values | {"requirements": [box | {"returns": 2000}]}))
+    assert "at most" in unachievable(load_study(tmp_path / "study.yaml"))["box"]
