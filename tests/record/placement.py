@@ -11,12 +11,12 @@ from tests.record.answers import INPUTS, Answers, case, named
 
 PAPER = "paper-1x4", "paper-4x16", "paper-3x8"
 LIMITED = "car-max-vsr", "round", "surface"
-OBJECTIVES = "paper-3x8", "car-blind", "car-detection", "car-returns", "car-lost", "surface", "round"
 TILTED_DEG = (
     [(22.04, 7.93, 111.7), (-0.39, 28.3, -77.23), (29.94, -14.27, 125.66)],
     [(9.77, -26.2, 1.38), (-17.57, -7.93, 108.79), (27.15, -23.61, 78.48)],
     [(-7.84, -15.53, -179.94), (19.72, -21.79, -136.3), (-18.28, -26.95, -138.14)],
 )
+OBJECTIVES = "paper-3x8", "car-blind", "car-detection", "car-returns", "car-lost", "surface", "round"
 METHODS = "abc", "annealing", "cmaes", "auto"
 
 
