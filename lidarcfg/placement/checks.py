@@ -23,6 +23,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
 from lidarcfg.requirements.file import RequirementFile
 from lidarcfg.requirements.requirements import sources
+from lidarcfg.returns.misses import SEARCH_PLACES
 from lidarcfg.sensors.rig import MountFile, RigFile
 
 Suspect = tuple[Key, str]  # where something looks wrong, and what
@@ -202,11 +203,12 @@ def _slow(study: Study) -> Iterator[Suspect]:
         what = f"{cuboids:,} cuboids: a search evaluates thousands of rigs, each in a tenth of a second or more"
         yield ("region", "cuboid_m"), f"{what}; search with larger cuboids, and evaluate with these"
         return
-    if study.is_max_vsr:
+    if study.is_max_vsr or study.objective.is_misses:
         return
     poses: Array = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
     lidars = study.lidars(poses)
-    criterion = study.criterion()
+    few = study.misses.known(SEARCH_PLACES) if study.objective.misses and study.misses else None
+    criterion = study.criterion(known=few)
 
     def seconds(what: str) -> float:
         began = time.perf_counter()

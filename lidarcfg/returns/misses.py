@@ -12,7 +12,7 @@ rigs: below −0.95), and not from max VSR: docs/evidence/validation.md.
 import math
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -196,6 +196,9 @@ class Misses:
         """The returns at so many places of each object, for a search; nothing is known of them yet."""
         standing = [Standing(one.target, one.places(count, SEARCH)) for one in self.objects]
         return KnownReturns(standing, self.obstacles)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # what is known is found anew
 
     @cached_property
     def fresh(self) -> KnownReturns:
