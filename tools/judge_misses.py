@@ -2,17 +2,19 @@
 
 Usage: .venv/bin/python tools/judge_misses.py RIG.yaml ... [--vehicle data/vehicles/sedan.ply] [--places 1500]
 
-Of lidarcfg it takes files alone: the poses of rigs and the tables of sensors. Each of six objects stands at random
-places, uniform in area, and headings around the vehicle. Every firing of one revolution, with all heads at zero when it
-begins, is a ray that ends at the vehicle or at the object, whichever is first, within the range. An object with
-fewer returns than `--returns` from all sensors together is a miss. The intervals are of 95 %: Wilson's for an object,
-that of a mean of independent binomials for the mean. The same arguments give the same table.
+Of lidarcfg it takes files alone: the poses of rigs and the tables of sensors. Each of six objects, its own or with
+`--objects data/objects` those of lidarcfg, stands at random places, uniform in area, and headings around the vehicle.
+Every firing of one revolution, with all heads at zero when it begins, or of a scan pattern's first frame is a ray that
+ends at the vehicle or at the object, whichever is first, within the range. An object with fewer returns than
+`--returns` from all sensors together is a miss, as lidarcfg's measure of misses has it. The intervals are of 95 %:
+Wilson's for an object, that of a mean of independent binomials for the mean. The same arguments give the same table.
 """
 
 import argparse
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,16 @@ class Rays:
     start_m: Array  # (N, 3)
     direction: Array  # (N, 3) of length 1
     range_m: tuple[float, float]  # least, greatest
+
+    @cached_property
+    def start_along_m(self) -> Array:
+        """(N,) of the starts along the directions."""
+        return np.einsum("ij,ij->i", self.start_m, self.direction)
+
+    @cached_property
+    def start_m2(self) -> Array:
+        """(N,) squares of the starts' distances from the origin."""
+        return np.einsum("ij,ij->i", self.start_m, self.start_m)
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> Array:
@@ -79,28 +91,55 @@ def firings(sensor: Mapping[str, Any], mount: Mapping[str, Any]) -> tuple[NDArra
     return np.tile(laser, cycles), 2 * math.pi * turned.ravel()
 
 
+def frame(scan: Mapping[str, Any], folder: Path) -> tuple[Array, Array]:
+    """(N,) the azimuths, clockwise from ahead, and elevations in degrees of a scan pattern's first frame."""
+    path = folder / scan["file"]
+    columns: Mapping[str, Any]
+    if path.suffix == ".csv":
+        header, *lines = path.read_text().split()
+        columns = dict(zip(header.split(","), np.loadtxt(lines, delimiter=",").T, strict=True))
+    else:
+        columns = np.load(path)
+    if "rate_hz" in columns:  # channels, a row each, fire in turn; steps of hundredths of a degree since their last
+        azimuth, elevation = (
+            np.cumsum(columns[f"{key}_steps"], axis=1, dtype=np.int64).T.ravel() / 100
+            for key in ("azimuth", "elevation")
+        )
+        time_ns = np.arange(len(azimuth)) * (1e9 / float(columns["rate_hz"]))
+    else:
+        time_ns, azimuth, elevation = (columns[key] for key in ("time_ns", "azimuth_deg", "elevation_deg"))
+    first = np.rint(time_ns) < round(float(scan["frame_ms"]) * 1e6)
+    return azimuth[first], elevation[first]
+
+
 def rays_of(mount: Mapping[str, Any], folder: Path) -> Rays:
     """The rays of a mount in a rig's file in a folder."""
     model = mount["model"]
-    known = ROOT / f"sensors/{model}.yaml"
-    sensor = yaml.safe_load((known if known.exists() else folder / model).read_text())
-    beams = sensor["beams"]
+    path = ROOT / f"sensors/{model}.yaml"
+    if not path.exists():
+        path = folder / model
+    sensor = yaml.safe_load(path.read_text())
+    offsets_m = np.zeros((3, 1))  # forward, left, up: where a beam starts
+    if scan := sensor.get("scan_pattern"):
+        azimuth_deg, elevation_deg = frame(scan, path.parent)
+        head = np.radians(azimuth_deg)
+        azimuth = head
+        elevation = np.radians(elevation_deg)
+    else:
+        beams = sensor["beams"]
 
-    def column(key: str) -> Array:
-        return np.array(beams.get(key) or np.zeros(len(beams["elevation_deg"])), np.float64)
+        def column(key: str) -> Array:
+            return np.array(beams.get(key) or np.zeros(len(beams["elevation_deg"])), np.float64)
 
-    laser, head = firings(sensor, mount)
-    for fov_deg in (sensor.get("azimuth_fov_deg"), mount.get("azimuth_fov_deg")):
-        if fov_deg:
-            width = (fov_deg[1] - fov_deg[0]) % 360 or 360
-            inside = (np.degrees(head) - fov_deg[0]) % 360 <= width
-            laser = laser[inside]
-            head = head[inside]
-    azimuth = head + np.radians(column("azimuth_offset_deg"))[laser]
-    elevation = np.radians(column("elevation_deg"))[laser]
+        laser, head = firings(sensor, mount)
+        azimuth = head + np.radians(column("azimuth_offset_deg"))[laser]
+        elevation = np.radians(column("elevation_deg"))[laser]
+        keys = "forward", "lateral", "vertical"
+        offsets_m = np.stack([column(f"{key}_offset_mm")[laser] / 1000 for key in keys])
+    inside = in_view(head, sensor, mount)
     flat = np.cos(elevation)
     direction = np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(elevation)], axis=1)
-    ahead, left, up = (column(f"{key}_offset_mm")[laser] / 1000 for key in ("forward", "lateral", "vertical"))
+    ahead, left, up = offsets_m
     x = ahead * np.cos(head) + left * np.sin(head)
     y = left * np.cos(head) - ahead * np.sin(head)
     if "rpy_rad" in mount:
@@ -110,8 +149,22 @@ def rays_of(mount: Mapping[str, Any], folder: Path) -> Rays:
     R = rotation(*angles)
     position = np.array(mount["position_m"], np.float64)
     limits = mount.get("range_m") or (sensor["range"].get("min_m", 0.0), sensor["range"]["max_m"])
-    start = np.stack([x, y, up], axis=1) @ R.T + position
-    return Rays(start, direction @ R.T, (float(limits[0]), float(limits[1])))
+    start = np.stack(np.broadcast_arrays(x, y, up), axis=1) @ R.T + position
+    return Rays(
+        np.asfortranarray(start[inside]),
+        np.asfortranarray((direction @ R.T)[inside]),
+        (float(limits[0]), float(limits[1])),
+    )
+
+
+def in_view(head: Array, sensor: Mapping[str, Any], mount: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """(N,) which of a head's angles, clockwise from ahead, are in the fields of view of a sensor and of its mount."""
+    inside = np.ones(len(head), np.bool_)
+    for fov_deg in (sensor.get("azimuth_fov_deg"), mount.get("azimuth_fov_deg")):
+        if fov_deg:
+            width = (fov_deg[1] - fov_deg[0]) % 360 or 360
+            inside &= (np.degrees(head) - fov_deg[0]) % 360 <= width
+    return inside
 
 
 def box(low: Sequence[float], high: Sequence[float]) -> Mesh:
@@ -199,6 +252,19 @@ OBJECTS: dict[str, Callable[[], Mesh]] = {
 }
 
 
+def in_file(path: Path) -> Mesh:
+    """A mesh of a file, its lowest point on the ground."""
+    mesh = o3d.io.read_triangle_mesh(str(path))
+    return mesh.translate([0, 0, -mesh.get_min_bound()[2]])
+
+
+def things(folder: Path | None) -> dict[str, Mesh]:
+    """The objects by name: its own, or of the same names in a folder, where the adult is a pedestrian."""
+    if folder is None:
+        return {name: make() for name, make in OBJECTS.items()}
+    return {name: in_file(folder / f"{'pedestrian' if name == 'adult' else name}.ply") for name in OBJECTS}
+
+
 def scene_of(vertices: NDArray[Any], triangles: NDArray[Any]) -> o3d.t.geometry.RaycastingScene:
     """What Open3D casts rays at."""
     scene = o3d.t.geometry.RaycastingScene()
@@ -244,9 +310,8 @@ def returns(rays: Sequence[Rays], clear_m: Sequence[Array], thing: Mesh, place: 
     middle = R @ middle + at
     count = 0
     for one, free_m in zip(rays, clear_m, strict=True):
-        to_middle = middle - one.start_m
-        along = np.einsum("ij,ij->i", to_middle, one.direction)
-        beside2 = np.einsum("ij,ij->i", to_middle, to_middle) - along**2
+        along = one.direction @ middle - one.start_along_m
+        beside2 = middle @ middle - 2 * (one.start_m @ middle) + one.start_m2 - along**2
         near = np.flatnonzero((beside2 < (1.001 * radius_m) ** 2) & (along > -radius_m))  # may touch its bounding ball
         if len(near):
             found = hits_m(scene, one.start_m[near], one.direction[near])
@@ -255,15 +320,16 @@ def returns(rays: Sequence[Rays], clear_m: Sequence[Array], thing: Mesh, place: 
     return count
 
 
-def counts(rig: Path, body: Mesh, names: Sequence[str], number: int, within_m: float, seed: int) -> dict[str, Array]:
+def counts(
+    rig: Path, body: Mesh, objects: Mapping[str, Mesh], number: int, within_m: float, seed: int
+) -> dict[str, Array]:
     """By object, (number,) the returns of a rig from it at random places, which depend on the seed and the object."""
     values = yaml.safe_load(rig.read_text())
     rays = [rays_of(mount, rig.parent) for mount in values["sensors"]]
     bodies = scene_of(np.asarray(body.vertices), np.asarray(body.triangles))
     clear_m = [hits_m(bodies, one.start_m, one.direction) for one in rays]
     out = {}
-    for name in names:
-        thing = OBJECTS[name]()
+    for name, thing in objects.items():
         drawn = places(body, thing, within_m, np.random.default_rng([seed, list(OBJECTS).index(name)]))
         out[name] = np.array([returns(rays, clear_m, thing, next(drawn)) for _ in range(number)])
     return out
@@ -303,13 +369,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rigs", type=Path, nargs="+", metavar="RIG")
     parser.add_argument("--vehicle", type=Path, default=ROOT / "data/vehicles/sedan.ply", help="a mesh")
+    parser.add_argument("--objects", type=Path, metavar="DIR", help="with their meshes; by default its own")
     parser.add_argument("--places", type=int, default=1500, help="of each object")
     parser.add_argument("--within", type=float, default=20.0, metavar="M", help="of the vehicle")
-    parser.add_argument("--returns", type=int, default=10, help="with fewer, it is missed")
+    parser.add_argument("--returns", type=int, default=3, help="with fewer, it is missed")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     body = o3d.io.read_triangle_mesh(str(given.vehicle))
-    found = {str(rig): counts(rig, body, tuple(OBJECTS), given.places, given.within, given.seed) for rig in given.rigs}
+    objects = things(given.objects)
+    found = {str(rig): counts(rig, body, objects, given.places, given.within, given.seed) for rig in given.rigs}
     print(f"{machine()}; {given.places} places of each object within {given.within:g} m of {given.vehicle.name},")
     print(f"seed {given.seed}; a miss is fewer than {given.returns} returns\n")
     print("\n".join(table(["", *found], rows(found, given.returns))))
