@@ -89,6 +89,11 @@ class Study:
         """Whether max VSR of the whole rig, and nothing else, is what a search minimises."""
         return self.objective.is_max_vsr and self.robust is None and not self.zones and not self.only_required
 
+    @property
+    def is_misses(self) -> bool:
+        """Whether misses of the whole rig, and nothing else, are what a search minimises."""
+        return self.objective.is_misses and self.robust is None and not self.only_required
+
     @cached_property
     def free(self) -> NDArray[np.bool_]:
         """(slots, 6) which coordinates vary independently."""

@@ -266,6 +266,7 @@ def figures(found: Placement) -> dict[str, float | int | None]:
     volume = evaluation.blind.seen_by_m3
     return {
         "cost": found.objective,
+        **({"misses": evaluation.misses.mean} if evaluation.misses else {}),
         "max_vsr_m": evaluation.max_vsr_m,
         "evaluations": found.evaluations,
         **{f"detection.{name}": one.rate for name, one in evaluation.detection.items()},

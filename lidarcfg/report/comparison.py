@@ -1,5 +1,6 @@
 """Rigs side by side in one study: a table of what differs, and one report."""
 
+import math
 import string
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ from lidarcfg.report.describe import (
 )
 from lidarcfg.report.document import Baseline, Commands
 from lidarcfg.report.html import BestCell, KeyFigure, Table, render
+from lidarcfg.report.misses import describe_interval, percent
 from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.report.robustness import FAR, draw_lost
 from lidarcfg.report.text import DRAWN, HEAD, truncate
@@ -103,6 +105,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
 
     out = [
         *_verdict_rows(rigs),
+        *_misses_rows(rigs, row),
         row("sensors", ",", lambda rig: len(rig.rig.mounts)),
         row("beams", ",", lambda rig: beams(rig.rig)),
         row("max VSR (m)", ".6f", lambda rig: rig.found.max_vsr_m, -1),
@@ -145,6 +148,22 @@ def _verdict_rows(rigs: Sequence[Contender]) -> list[ComparisonRow]:
         best = [min(margins) < max(margins) and margin == max(margins) for margin in margins]
         out.append(ComparisonRow(truncate(ones[0].name, DRAWN), texts, best))
     return out
+
+
+def _misses_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
+    """What each rig misses, over all objects and by object; none where that is not known of all."""
+    known = [rig.found.misses for rig in rigs if rig.found.misses]
+    if len(known) < len(rigs):
+        return []
+    names = [truncate(one.name, DRAWN) for one in known[0].objects]
+    return [
+        row("misses", ".2%", lambda rig: rig.found.misses.mean, -1),
+        *(row(f"misses of {name}", ".2%", partial(_missed, number), -1) for number, name in enumerate(names)),
+    ]
+
+
+def _missed(number: int, rig: Contender) -> float:
+    return rig.found.misses.objects[number].share if rig.found.misses else math.nan
 
 
 def _zone(i: int, rig: Contender) -> float:
@@ -297,6 +316,10 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
 def _summary(rigs: Sequence[Contender]) -> list[KeyFigure]:
     least = min(rig.found.max_vsr_m for rig in rigs)
     figures = []
+    for rig in rigs:
+        if found := rig.found.misses:
+            what = f"Misses of {rig.title}"
+            figures.append(KeyFigure(what, percent(found.mean), describe_interval(found.interval)))
     for rig in rigs:
         more = rig.found.max_vsr_m / least - 1
         detail = "the smallest" if more == 0 else f"{more:.1%} above the smallest"

@@ -20,6 +20,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.html import Table
 from lidarcfg.report.text import truncate
+from lidarcfg.returns.misses import MissesFile
 from lidarcfg.sensors.rig import Rig
 
 PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")
@@ -195,7 +196,10 @@ def _describe_terms(study: Study) -> str:
     if wanted.is_max_vsr:
         weighted = ", times the weight of its zones" if study.zones else ""
         return f"max VSR, the largest volume-to-surface ratio of all subspaces{weighted}"
-    terms = [] if wanted.max_vsr is None else [f"{wanted.max_vsr:g} × max VSR in metres"]
+    if wanted.is_misses and wanted.misses:
+        return _describe_misses(wanted.misses)
+    terms = [f"{wanted.misses.weight:g} × {_describe_misses(wanted.misses)}"] if wanted.misses else []
+    terms += [] if wanted.max_vsr is None else [f"{wanted.max_vsr:g} × max VSR in metres"]
     if wanted.inscribed_radius is not None:
         terms.append(f"{wanted.inscribed_radius:g} × the radius of the largest sphere in a subspace, in metres")
     if wanted.blind_volume is not None:
@@ -209,9 +213,17 @@ def _describe_terms(study: Study) -> str:
     return "the weighted mean of " + ", ".join(terms)
 
 
+def _describe_misses(asked: MissesFile) -> str:
+    """Misses, and the objects where these are not the default."""
+    names = [
+        truncate(name) if weight == 1 else f"{truncate(name)} × {weight:g}" for name, weight in asked.objects.items()
+    ]
+    return f"misses, the share of places where an object gets fewer than {asked.returns} returns ({', '.join(names)})"
+
+
 def cost_label(study: Study) -> str:
     """What the costs of a search are, on an axis: lower is better."""
-    value = "max VSR (m)" if study.is_max_vsr else "objective"
+    value = "max VSR (m)" if study.is_max_vsr else "misses, as believed" if study.is_misses else "objective"
     if study.only_required:
         value = "1 / (1 + least margin)"
     return f"shortfall, then {value}" if study.requirements else value

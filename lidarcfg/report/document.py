@@ -12,7 +12,7 @@ from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation, Worst
 from lidarcfg.placement.report_inputs import ReportInputs
-from lidarcfg.placement.search_run import Placement, at_bounds
+from lidarcfg.placement.search_run import Believed, Placement, at_bounds
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND
 from lidarcfg.report import drawings
@@ -47,6 +47,17 @@ from lidarcfg.report.describe import (
     versions,
 )
 from lidarcfg.report.html import KeyFigure, Table, render, with_baseline_figures, with_baseline_rows
+from lidarcfg.report.misses import (
+    SeenBy,
+    compared_with,
+    describe_interval,
+    draw_misses,
+    misses_lines,
+    misses_table,
+    percent,
+    rigs_seen,
+    worst_object,
+)
 from lidarcfg.report.mounts import draw_mounts, draw_surfaces
 from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
 from lidarcfg.report.text import summarize, truncate
@@ -91,6 +102,7 @@ def report(
     other = _tables(study, baseline.rig, baseline.details) if baseline else {}
     tables = {name: with_baseline_rows(table, other.get(name)) for name, table in own.items()}
     summary = _summary(study, rig, details, placement)
+    seen = rigs_seen(study, rig, found, placement, (baseline.rig, baseline.details.evaluation) if baseline else None)
     what = "optimised" if placement else "evaluated"
     return render(
         "report.html",
@@ -101,6 +113,8 @@ def report(
         else None,
         summary=with_baseline_figures(summary, _of_baseline(study, baseline)) if baseline else summary,
         at_bounds=_at_bounds(study, rig),
+        seen=_seen(study, seen, placement) if seen else None,
+        believed=placement.believed if placement else None,
         baseline=baseline,
         baseline_yaml=yaml_text(rig_to_dict(baseline.rig)) if baseline else None,
         placement=placement,
@@ -119,6 +133,7 @@ def report(
         origin=describe_origin(study),
         has_body=study.vehicle is not None,
         analytic=_analytic(found, found.analytic, baseline) if found.analytic else None,
+        by_returns=any(item.returns for item in study.detection),
         exact_rates=any(not item.samples for item in study.detection),
         drawn_rates=any(item.samples for item in study.detection),
         skipped=_skipped(study, values, placement),
@@ -128,6 +143,19 @@ def report(
         drawings=_drawings(study, rig, details, placement, baseline),
         **tables,
     )
+
+
+def _seen(study: Study, rigs: tuple[SeenBy, ...], placement: Placement | None) -> dict[str, Any]:
+    """What the first rig misses, beside the others."""
+    other = compared_with(rigs)
+    worst = worst_object(rigs[0].misses)
+    return {
+        "lines": misses_lines(study, rigs, placement),
+        "table": misses_table(rigs),
+        "map": draw_misses(study.body, [rigs[0], other] if other else [rigs[0]]),
+        "worst": truncate(worst.name),
+        "is_weighted": len(set(rigs[0].misses.weights.tolist())) > 1,
+    }
 
 
 def _at_bounds(study: Study, rig: Rig) -> tuple[str, ...]:
@@ -193,9 +221,13 @@ def _summary(study: Study, rig: Rig, details: ReportInputs, placement: Placement
     """Key figures; that which was minimised comes first."""
     found = details.evaluation
     figures = []
+    if found.misses:
+        what = f"places where an object gets fewer than {found.misses.returns} returns"
+        detail = f"{what}; {describe_interval(found.misses.interval)}"
+        figures.append(KeyFigure("Misses", percent(found.misses.mean), detail))
     if placement and study.only_required:
         figures.append(KeyFigure("Least margin", f"{placement.objective:+.0%}", "of what is demanded"))
-    elif placement and not study.is_max_vsr:
+    elif placement and not (study.is_max_vsr or study.is_misses):
         figures.append(KeyFigure("Objective", f"{placement.objective:.6f}", describe_objective(study)))
     figures += _max_vsr_figures(rig, details) if has_cones(rig) else []
     if found.blind.contours:
@@ -213,6 +245,8 @@ def _summary(study: Study, rig: Rig, details: ReportInputs, placement: Placement
         figures.append(KeyFigure("Shadow, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
     figures += [post_figure(posts) for posts in found.posts]
     for item in study.detection:
+        if found.misses and not item.returns:
+            continue  # the paper's rates stand in the paper's part
         name = item.name
         rate = found.detection[name]
         figures.append(
@@ -266,9 +300,14 @@ def _search(placement: Placement | None) -> FactRows:
         ("evaluations by scouts, not counted above", f"{placement.scout_evaluations:,}"),
         ("cycles", f"{placement.history[-1].cycle:,}"),
         ("seconds", f"{placement.seconds:.1f}"),
-        ("objective value of the best rig", f"{placement.objective:.6f}"),
+        (f"objective of the best rig{', at fresh places' * bool(placement.believed)}", f"{placement.objective:.6f}"),
+        *([("objective that the search believed", _believed(placement.believed))] if placement.believed else []),
         ("ended by", "an interrupt" if placement.interrupted else "its budget"),
     ]
+
+
+def _believed(told: Believed) -> str:
+    return f"{told.objective:.6f}, at {told.places:,} places of each object"
 
 
 def _worst(found: Evaluation) -> Table:
@@ -410,13 +449,15 @@ def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) 
     skipped = values["skipped"]
     trials = placement.evaluated
     all_trials = placement.evaluations + placement.first_evaluations + placement.scout_evaluations
-    what = "rigs" if study.rigs[0] > 1 else "trials"
     facts: FactRows = [("trials evaluated in this run", f"{trials:,} of {all_trials:,}")] if trials < all_trials else []
     if study.rigs[0] > 1:
         facts.append(("rigs that these stand for", f"{skipped['rigs']:,}, {study.rigs[0]:,} a trial"))
-    facts.append((f"{what} settled without a full evaluation", _of(skipped["full_evaluations"], skipped["rigs"])))
     if not study.objective_cuts:
-        return [*facts, ("cuboids that were not evaluated", "all, as the objective does not need the subspaces")]
+        if study.objective.misses:
+            facts.append(("trials", f"{trials:,}, each until it could no longer be better"))
+        return [*facts, ("subspaces of trials", "not computed, as the objective does not need them")]
+    what = "rigs" if study.rigs[0] > 1 else "trials"
+    facts.append((f"{what} settled without a full evaluation", _of(skipped["full_evaluations"], skipped["rigs"])))
     cuboids = skipped["rigs"] * study.region.included.size
     facts.append(("cuboids that were not evaluated", _of(skipped["cuboids"], cuboids)))
     if segments := trials * study.segments:

@@ -63,6 +63,8 @@ def draw_history(study: Study, found: Placement) -> Markup:
         if study.is_max_vsr:
             midpoint = found.midpoint_max_vsr_m
             axes.axhline(midpoint, color="0.4", ls=":", lw=1, label="midpoint of the bounds")
+        if found.believed:
+            axes.axhline(found.objective, color="0.4", ls=":", lw=1, label="the rig chosen, at fresh places")
         axes.set(xlabel="evaluations", ylabel=cost_label(study), ylim=(0, history_top(study, found)))
         axes.grid(True)
         axes.legend(loc="best")

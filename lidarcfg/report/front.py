@@ -92,6 +92,7 @@ def _point(point: Point) -> dict[str, Any]:
         "price": point.combination.price,
         "objective": placement.objective,
         "sensors": point.combination.sensors,
+        "misses": placement.evaluation.misses and placement.evaluation.misses.mean,
         "max_vsr_m": placement.evaluation.max_vsr_m,
         "detection": {name: detection.rate for name, detection in placement.evaluation.detection.items()},
         "evaluations": placement.evaluations,
@@ -230,6 +231,7 @@ def _spent(found: Front) -> str:
 
 def _points_table(study: Study, found: Front) -> Table:
     rows = []
+    missed = all(point.placement.evaluation.misses for point in found.points)
     for point in found.points:
         name = point.combination.name
         evaluation = point.placement.evaluation
@@ -238,15 +240,17 @@ def _points_table(study: Study, found: Front) -> Table:
             [
                 price(point.combination.price),
                 f"{point.placement.objective:.6f}",
+                *([f"{evaluation.misses.mean:.6f}"] if missed and evaluation.misses else []),
                 point.combination.sensors,
                 f"{evaluation.max_vsr_m:.6f}",
                 *(f"{evaluation.detection[item.name].rate:.4f}" for item in study.detection),
                 link,
             ]
         )
-    head = ("price", "objective", "sensors", "max VSR (m)", *(f"detection of {i.name}" for i in study.detection))
+    rates = [f"detection of {item.name}" for item in study.detection]
+    head = ("price", "objective", *["misses"] * missed, "sensors", "max VSR (m)", *rates)
     caption = "The rigs that no other is both cheaper and better than; each has a report of its own."
-    return Table(caption, (*head, "report"), rows, texts=(2, len(head)))
+    return Table(caption, (*head, "report"), rows, texts=(head.index("sensors"), len(head)))
 
 
 def _candidates_table(found: Front) -> Table:

@@ -39,6 +39,13 @@ class FailCell(str):
     mark = "fail"
 
 
+class TotalCell(str):
+    """A table's cell that sums up its column."""
+
+    __slots__ = ()
+    mark = "total"
+
+
 @dataclass(frozen=True)
 class Table:
     """A table whose first column names the row; the others hold numbers, except those of `texts`."""

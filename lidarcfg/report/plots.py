@@ -47,6 +47,8 @@ def history_top(study: "Study", found: "Placement") -> float | None:
     """The top of the drawing of a search: rigs that break the constraints cost far more than any other."""
     shown = [value for cycle in found.history for value in (cycle.best, cycle.mean)]
     shown += [found.midpoint_max_vsr_m] if study.is_max_vsr else []
+    if found.believed and study.is_misses:
+        return max(min(1.05 * max(shown), CUT_OFF * found.history[-1].best), 1.2 * found.objective) or None
     return min(1.05 * max(shown), CUT_OFF * found.history[-1].best) or None
 
 
@@ -63,8 +65,12 @@ def draw_convergence(study: "Study", found: "Placement") -> "Figure":
         beyond = f" (above: {midpoint_m:.3f} m)" if top is not None and midpoint_m > top else ""
         axes.axhline(midpoint_m, color="0.5", ls=":", label=f"midpoint of the bounds{beyond}")
     axes.set(xlabel="evaluations", ylabel=cost_label(study), ylim=(0, top))
+    if found.believed:
+        axes.axhline(found.objective, color="0.5", ls=":", label="the rig chosen, at fresh places")
     how = f"{study.solver.method}, seed {study.solver.seed}"
-    title = f"{truncate(study.name)}: max VSR {found.evaluation.max_vsr_m:.4f} m, {how}"
+    misses = found.evaluation.misses
+    value = f"misses {misses.mean:.2%}" if misses else f"max VSR {found.evaluation.max_vsr_m:.4f} m"
+    title = f"{truncate(study.name)}: {value}, {how}"
     axes.set_title(title, parse_math=False)
     axes.grid(alpha=0.3)
     axes.legend()
@@ -110,7 +116,8 @@ def draw_rig(study: "Study", rig: Rig, found: "Evaluation") -> "Figure":
     rest = [Line2D([], [], ls="")] * (len(named) < len(dots))
     figure.axes[0].legend([*dots[: len(named) - len(rest)], *rest], named, loc="upper right")
     grey = "the vehicle" if study.vehicle else "excluded"
-    title = f"{truncate(rig.name)}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, {grey} grey"
+    misses = f"misses {found.misses.mean:.2%}, " if found.misses else ""
+    title = f"{truncate(rig.name)}: {misses}max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, {grey} grey"
     figure.suptitle(title, parse_math=False)
     return figure
 

@@ -56,7 +56,12 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
     sensors = _models(slot.model for slot in study.slots)
     if study.to_choose:
         sensors = f"{len(combinations(study)):,} combinations of sensors"
-    what = "to minimise max VSR" if study.objective.is_max_vsr else "to minimise a weighted mean"
+    what = "to minimise a weighted mean"
+    if study.objective.is_max_vsr:
+        what = "to minimise max VSR"
+    elif study.objective.is_misses and study.objective.misses:
+        count = study.objective.misses.returns
+        what = f"to minimise misses: places where an object gets fewer than {count} returns"
     if study.only_required:
         what = "to widen the least margin"
     what += " by zones" * bool(study.zones) + ", with failures or mounting errors" * bool(study.robust)

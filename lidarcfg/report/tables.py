@@ -40,19 +40,21 @@ def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> N
         print_verdict(found.verdict)
     for line in found.remarks:
         terminal().print(line)
+    _print_misses(study, found.rig, evaluation, found)
     search = Table(box=SIMPLE, show_header=False)
     if study.only_required:
         search.add_row("least margin", f"{found.objective:+.2%} of what is demanded")
-    elif not study.is_max_vsr:
+    elif not (study.is_max_vsr or study.is_misses):
         search.add_row("objective", f"{found.objective:.6f}")
     if has_cones(found.rig):
         search.add_row("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m")
-        search.add_row("max VSR, optimised", f"{evaluation.max_vsr_m:.4f} m")
+        which = "optimised" if study.is_max_vsr else "this rig"
+        search.add_row(f"max VSR, {which}", f"{evaluation.max_vsr_m:.4f} m")
     first = f", and {found.first_evaluations:,} of plain rigs" if study.requirements else ""
     search.add_row("evaluations", f"{found.evaluations:,}{first}")
     search.add_row("seconds", f"{found.seconds:.1f}")
     terminal().print(search)
-    print_evaluation(study, found.rig, evaluation, with_verdict=False)
+    _print_rest(study, found.rig, evaluation)
     for line in found.at_bounds:
         terminal().print(line)
 
@@ -60,7 +62,14 @@ def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> N
 def print_front(study: Study, found: "Front") -> None:
     """Print a line for each rig on the front, and what the search spent."""
     objects = [item.name for item in study.detection]
-    numbers = ("price", "objective", "max VSR (m)", *(f"detection of {truncate(name)}" for name in objects))
+    missed = all(point.placement.evaluation.misses for point in found.points)
+    numbers = (
+        "price",
+        "objective",
+        *["misses"] * missed,
+        "max VSR (m)",
+        *(f"detection of {truncate(name)}" for name in objects),
+    )
     table = Table(
         *(Column(name, justify="right") for name in numbers), "sensors", Column("folder", overflow="fold"), box=SIMPLE
     )
@@ -69,6 +78,7 @@ def print_front(study: Study, found: "Front") -> None:
         table.add_row(
             price(point.combination.price),
             f"{point.placement.objective:.4f}",
+            *([f"{evaluation.misses.mean:.4f}"] if missed and evaluation.misses else []),
             f"{evaluation.max_vsr_m:.4f}",
             *(f"{evaluation.detection[name].rate:.4f}" for name in objects),
             point.combination.sensors,
@@ -85,11 +95,36 @@ def print_front(study: Study, found: "Front") -> None:
     )
 
 
-def print_evaluation(study: Study, rig: Rig, found: Evaluation, with_verdict: bool = True) -> None:
-    """Print the verdict, the rig, its max VSR and detection rates, and the worst subspaces."""
-    console = terminal()
-    if found.verdict and with_verdict:
+def print_evaluation(study: Study, rig: Rig, found: Evaluation) -> None:
+    """Print the verdict, what is missed, the rig, its max VSR and detection rates, and the worst subspaces."""
+    if found.verdict:
         print_verdict(found.verdict)
+    _print_misses(study, rig, found)
+    _print_rest(study, rig, found)
+
+
+def _print_misses(study: Study, rig: Rig, found: Evaluation, placement: Placement | None = None) -> None:
+    """What the rig misses, beside others; nothing where that is not known."""
+    from lidarcfg.report.misses import describe_misses, misses_lines, misses_rows, rigs_seen  # which loads drawings
+
+    rigs = rigs_seen(study, rig, found, placement)
+    if not rigs:
+        return
+    console = terminal()
+    table = Table("misses", *(Column(one.title, justify="right") for one in rigs), box=SIMPLE)
+    *rows, mean = misses_rows(rigs)
+    for row in rows:
+        table.add_row(*row)
+    table.add_row(*mean, style="bold")
+    console.print(table)
+    for line in misses_lines(study, rigs, placement):
+        console.print(line)
+    console.print(f"misses: {describe_misses(rigs[0].misses)}; in brackets: the interval of 95 %")
+
+
+def _print_rest(study: Study, rig: Rig, found: Evaluation) -> None:
+    """The rig, its max VSR and detection rates, and the worst subspaces."""
+    console = terminal()
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
         angles = np.degrees(mount.rpy_rad)
@@ -102,7 +137,8 @@ def print_evaluation(study: Study, rig: Rig, found: Evaluation, with_verdict: bo
         name = item.name
         detection = found.detection[name]
         how = describe_places(study, item, detection)
-        console.print(f"detection rate of {truncate(name)}: {detection.rate:.4f} ({how})")
+        whose = "the paper's " if found.misses and not item.returns else ""
+        console.print(f"{whose}detection rate of {truncate(name)}: {detection.rate:.4f} ({how})")
         if detection.returns:
             console.print(f"  {describe_returns(detection.returns)}")
     for line in blind_lines(found.blind):

@@ -192,9 +192,9 @@ class Misses:
         """(objects,) of the mean."""
         return np.array([one.weight for one in self.objects])
 
-    def known(self, count: int) -> KnownReturns:
-        """The returns at so many places of each object, for a search; nothing is known of them yet."""
-        standing = [Standing(one.target, one.places(count, SEARCH)) for one in self.objects]
+    def known(self, count: int, purpose: int = SEARCH) -> KnownReturns:
+        """The returns at so many places of each object; nothing is known of them yet."""
+        standing = [Standing(one.target, one.places(count, purpose)) for one in self.objects]
         return KnownReturns(standing, self.obstacles)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -203,8 +203,7 @@ class Misses:
     @cached_property
     def fresh(self) -> KnownReturns:
         """The returns at fresh places, which no search has seen."""
-        standing = [Standing(one.target, one.places(FRESH_PLACES, FRESH)) for one in self.objects]
-        return KnownReturns(standing, self.obstacles)
+        return self.known(FRESH_PLACES, FRESH)
 
     def found(
         self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None

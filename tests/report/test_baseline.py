@@ -23,6 +23,7 @@ detection:
   - {name: ball, size_m: [0.2, 0.2, 0.2], samples: 64}
 vehicle:
   boxes: [{name: box, center_m: [6, 4, 0.7], size_m: [2, 1.5, 1.4]}]
+objective: {max_vsr: 1}
 solver: {method: abc, bees: 10, evaluations: 40, seed: 1}
 """
 RIG = """name: by hand

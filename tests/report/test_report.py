@@ -202,6 +202,7 @@ def test_the_same_run_gives_the_same_page(runs):
 
 
 VEHICLE = """
+objective: {max_vsr: 1}
 vehicle:
   boxes: [{name: cab, center_m: [6, 4, 0.75], size_m: [4, 2, 1.5], exclude: true}]
 """
