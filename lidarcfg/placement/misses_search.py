@@ -5,8 +5,8 @@ So once its best rigs differ by less than so few places can tell, it counts at t
 from the best rigs and the best plain ones. Costs of different numbers of places are never compared. When the places
 double depends on the evaluations alone, so a search that is resumed does the same.
 
-At the end the best rig and the best plain ones are compared at fresh places, which no search has seen. If a plain one
-is better, it is the result.
+At the end the best of the rigs that are searched around, and the best plain ones, are compared at fresh places, which
+no search has seen. If a plain one is better, it is the result.
 """
 
 import time
@@ -27,7 +27,9 @@ from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.returns.known import KnownReturns
 from lidarcfg.returns.misses import FRESH_PLACES, SEARCH_PLACES, MissesFound
 
-DOUBLED_EVERY = 60  # evaluations a dimension, until it is asked again whether places tell the best rigs apart
+DOUBLED_EVERY = 30  # evaluations a dimension, until it is asked again whether places tell the best rigs apart
+CHOSEN_AT = 1024  # places of each object, at least, by which the best of the last rigs is chosen
+COMPARED = 2 + STARTS  # rigs, counted at fresh places, that take as long as to choose and to compare
 TOLD_APART = 2.0  # standard errors by which rigs have to differ
 NO_BETTER = "no rig that was found misses less than the best plain rig at fresh places; this one is that plain rig"
 
@@ -65,7 +67,7 @@ class MissesRun(SearchRun):
             places = study.misses.fresh
             began = time.perf_counter()
             self._midpoint = study.misses.found_at(places, study.rig(study.midpoint).mounts)
-            self._compare_s = (1 + STARTS) * (time.perf_counter() - began)
+            self._compare_s = COMPARED * (time.perf_counter() - began)
 
     def is_over(self, budget: Budget) -> bool:
         """Whether a limit is reached; of seconds, some are left to compare the best rigs at fresh places."""
@@ -133,6 +135,7 @@ class MissesRun(SearchRun):
         if self._midpoint is None or self.best_cost.shortfall > 0:
             return super().placement(interrupted, verdict)
         believed = self.best_cost.objective
+        self.best_x = self._chosen()
         rivals = self._rivals()
         objective, *others = self._fresh_objectives(np.concatenate([self.best_x[None], rivals]))
         plain = None
@@ -148,6 +151,22 @@ class MissesRun(SearchRun):
         told = Believed(believed, self.places, plain, self._midpoint)
         return replace(found, objective=objective, believed=told, remarks=remarks)
 
+    def _chosen(self) -> Array:
+        """(dimensions,) the best of the best rig and those that are searched around, by more places than before."""
+        if self.places >= CHOSEN_AT:
+            return self.best_x
+        points = np.unique(np.concatenate([self.best_x[None], self._search.sources]), axis=0)
+        points = points[self.study.violation(self.study.poses(points)) == 0.0]
+        best = self.best_x
+        least = np.full(1, np.inf)
+        with StudyEvaluator(self.study, 1, places=CHOSEN_AT) as evaluator:
+            for x in points:
+                poses = self.study.poses(x[None])
+                cost = evaluator.costs(poses, np.zeros(1, np.int64), poses, least)
+                if cost < least:
+                    best, least = x, cost
+        return best
+
     def _rivals(self) -> Array:
         """(n, dimensions) the points that the result must not be worse than at fresh places."""
         return self._best_plain()
@@ -156,10 +175,8 @@ class MissesRun(SearchRun):
         """The objectives of points (n, dimensions) at fresh places."""
         poses = self.study.poses(points)
         with StudyEvaluator(self.study, places=None) as fresh:
-            found: list[float] = fresh.costs(
-                poses, np.zeros(len(poses), np.int64), poses, np.full(len(poses), np.inf)
-            ).tolist()
-        return found
+            found = fresh.costs(poses, np.zeros(len(poses), np.int64), poses, np.full(len(poses), np.inf))
+        return [float(one) for one in found]
 
     def _compared(self, x: Array, objective: float) -> Compared:
         """The rig at a point, of a known objective at fresh places."""
