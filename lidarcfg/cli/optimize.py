@@ -2,6 +2,8 @@
 
 import shlex
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +25,6 @@ from lidarcfg.cli.verify import NOT_MET
 
 if TYPE_CHECKING:
     from lidarcfg.placement.cheapest import CheapestRun
-    from lidarcfg.placement.combinations import Option
     from lidarcfg.placement.front import FrontRun, Point
     from lidarcfg.placement.report_inputs import ReportInputs
     from lidarcfg.placement.search_run import Cycle, Log, Placement
@@ -63,6 +64,13 @@ QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on th
         help="The Dask scheduler of a cluster, tcp://HOST:PORT, on which to search for the cheapest rig.",
     ),
     cloup.option("--resume", type=FILE, metavar="DIR", help="Continue the search whose results are in DIR."),
+    cloup.option(
+        "--start",
+        type=FILE,
+        metavar="RIG",
+        multiple=True,
+        help="Begin with this rig, which the result is not worse than; may be given several times.",
+    ),
 )
 @cloup.option_group(
     "Budget",
@@ -85,6 +93,7 @@ def optimize(
     seconds: float | None,
     scheduler: str | None,
     resume: Path | None,
+    start: tuple[Path, ...],
     baseline: Path | None,
     quiet: bool,
 ) -> None:
@@ -120,6 +129,8 @@ def optimize(
     for message in messages:
         warn(message)
     folder = output or resume or Path("out") / loaded.name
+    if start and resume:
+        raise click.UsageError("--start is for a search that begins, and --resume continues one")
     if scheduler and not (loaded.to_choose and loaded.requirements):
         raise click.UsageError(
             "--scheduler is for studies with requirements and models to choose; see sweep for others"
@@ -132,18 +143,18 @@ def optimize(
         if loaded.requirements:
             if resume:
                 raise click.UsageError("--resume is for one rig's search; that for the cheapest rig begins anew")
-            _find_cheapest(loaded, study, folder, scheduler, threads, quiet)
+            _find_cheapest(loaded, study, folder, scheduler, threads, quiet, start)
             return
-        _find_front(loaded, study, folder, resume, threads, quiet)
+        _find_front(loaded, study, folder, resume, threads, quiet, start)
         return
     log = load_log(loaded, resume) if resume else None
     check_writable(folder, RESULTS)
     with progress(quiet, keep=False) as on_progress:
         beside = baseline_of(loaded, baseline, on_progress)
     with progress(quiet) as on_progress:
-        found, shown = _search(loaded, threads, log, folder, on_progress)
+        found, shown = _search(loaded, threads, log, folder, on_progress, _rigs(start))
         on_progress(1.0, f"writing {folder}")
-        again = _repeat_command(study, folder, loaded.solver, found)
+        again = _repeat_command(study, folder, loaded.solver, found, start)
         save_placement(loaded, found, shown, folder, Commands(command_line(), again), beside)
     if not quiet:
         print_placement(loaded, found, shown.evaluation)
@@ -159,7 +170,12 @@ def optimize(
 
 
 def _search(
-    study: "Study", threads: int | None, log: "Log | None", folder: Path, on_progress: OnProgress
+    study: "Study",
+    threads: int | None,
+    log: "Log | None",
+    folder: Path,
+    on_progress: OnProgress,
+    starts: "Sequence[Rig]",
 ) -> "tuple[Placement, ReportInputs]":
     """The best rig, with progress; what is found so far is saved every few seconds."""
     import time
@@ -190,20 +206,32 @@ def _search(
 
     on_progress(0.0, "searching")
     budget = Budget.of(study.solver)
-    found = search(study, threads, on_cycle, log, on_evaluations=on_evaluations)
+    found = search(study, threads, on_cycle, log, on_evaluations=on_evaluations, starts=starts)
     if found.interrupted:
         click.get_current_context().ensure_object(Interrupts).take()
     on_progress(1.0, "evaluating the best rig")
     return found, report_inputs(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
 
 
-def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placement") -> str:
+def _rigs(paths: Sequence[Path]) -> "list[Rig]":
+    """The rigs that a search begins with, called as their files."""
+    from lidarcfg.sensors.rig import load_rig
+
+    return [replace(load_rig(path), name=str(path)) for path in paths]
+
+
+def _started(paths: Sequence[Path]) -> list[str | Path]:
+    """The words of a command that name these rigs."""
+    return [word for path in paths for word in ("--start", path)]
+
+
+def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placement", start: Sequence[Path]) -> str:
     """The command that gives the same rig on any machine, however the search ended."""
     budget = ("--evaluations", max(found.evaluations, 1))
     if solver.cycles is not None and found.history[-1].cycle >= solver.cycles:
         budget = ("--cycles", solver.cycles)
     words = ("lidarcfg", "optimize", study, "-o", folder, "--solver", solver.method, "--seed", solver.seed, *budget)
-    return shlex.join(map(str, words))
+    return shlex.join(map(str, (*words, *_started(start))))
 
 
 def _search_line(cycle: "Cycle") -> str:
@@ -215,7 +243,13 @@ def _search_line(cycle: "Cycle") -> str:
 
 
 def _find_cheapest(
-    study: "Study", path: Path, folder: Path, scheduler: str | None, threads: int | None, quiet: bool
+    study: "Study",
+    path: Path,
+    folder: Path,
+    scheduler: str | None,
+    threads: int | None,
+    quiet: bool,
+    start: Sequence[Path],
 ) -> None:
     """Search for the cheapest rig that meets all requirements, write the folder, print the verdict and the table.
 
@@ -231,13 +265,13 @@ def _find_cheapest(
     check_writable(folder, (*RESULTS, COMBINATIONS))
     with progress(quiet) as on_progress:
 
-        def on_effort(run: "CheapestRun", option: "Option") -> None:
+        def on_effort(run: "CheapestRun", what: str) -> None:
             best = "none meets all yet" if run.found is None else f"{run.options[run.found].name} meets all"
-            on_progress(run.round_done, f"round {run.round + 1}: {option.name}; {best}")
+            on_progress(max(run.spent, run.done if run.spent == 0 else 0), f"{what}; {best}")
 
         workers = Cluster(scheduler) if scheduler else None
         try:
-            found = cheapest(study, threads, on_effort, workers)
+            found = cheapest(study, threads, on_effort, workers, rigs=_rigs(start))
         finally:
             if workers:
                 workers.close()
@@ -249,7 +283,7 @@ def _find_cheapest(
         shown = report_inputs(chosen, placed.rig, placed.evaluation, placed.midpoint_max_vsr_m)
         words = ("--solver", study.solver.method, "--seed", study.solver.seed)
         budget = ("--evaluations", max(found.evaluations, 1))
-        again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words, *budget)))
+        again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words, *budget, *_started(start))))
         save_placement(chosen, placed, shown, folder, Commands(command_line(), again))
         save_combinations(found, folder)
     if not quiet:
@@ -264,7 +298,13 @@ def _find_cheapest(
 
 
 def _find_front(
-    study: "Study", path: Path, folder: Path, resume: Path | None, threads: int | None, quiet: bool
+    study: "Study",
+    path: Path,
+    folder: Path,
+    resume: Path | None,
+    threads: int | None,
+    quiet: bool,
+    start: Sequence[Path],
 ) -> None:
     """Search the study read from `path`, write the folder, print the table. Exits with 130 after Ctrl-C."""
     import time
@@ -288,11 +328,11 @@ def _find_front(
                 save_front_log(study, search.logs(), folder)
                 saved = time.monotonic()
 
-        found = front(study, threads, on_part, logs)
+        found = front(study, threads, on_part, logs, rigs=_rigs(start))
     if found.interrupted:
         click.get_current_context().ensure_object(Interrupts).take()
     words = ("--solver", study.solver.method, "--seed", study.solver.seed, "--evaluations", max(found.evaluations, 1))
-    again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words)))
+    again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words, *_started(start))))
     untried = sum(not one.evaluations for one in found.candidates)
     if untried:
         warn(f"the budget was spent before {untried} of {len(found.candidates)} combinations were tried")

@@ -76,6 +76,19 @@ class Option:
     sensors: int  # how many
 
     @property
+    def all_sensors(self) -> list[str]:
+        """The name of each sensor's model."""
+        groups = _groups(self.parent)
+        each = zip(groups, self.chosen, strict=True)
+        return [choice.sensor.name for group, part in each for choice in part if choice for _ in range(group.together)]
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """How many sensors of each model, by group; empty where there is none."""
+        groups = _groups(self.parent)
+        return tuple(_models(group, part) for group, part in zip(groups, self.chosen, strict=True))
+
+    @property
     def combination(self) -> Combination:
         """The combination."""
         return _combination(self.parent, _groups(self.parent), self.chosen, self.name)
@@ -201,6 +214,12 @@ def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -
         if each:
             parts.append("-".join([_group_name(group, i), *each]))
     return "_".join(parts)[:FOLDER_MAX]
+
+
+def _models(group: _Group, part: tuple[Choice | None, ...]) -> str:
+    """The number of sensors of each model, in words."""
+    counts = Counter(choice.sensor.name for choice in part if choice)
+    return ", ".join(f"{count * group.together} × {model}" for model, count in counts.items())
 
 
 def _group_name(group: _Group, index: int) -> str:

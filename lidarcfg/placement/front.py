@@ -21,12 +21,15 @@ import numpy as np
 from lidarcfg import maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.combinations import Combination, Example, combinations, starts
+from lidarcfg.placement.combinations import Combination, Example, combinations, options, starts
+from lidarcfg.placement.points_first import PointsFirst
 from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.cma_es import WarmStart
 from lidarcfg.placement.solvers.search import NO_COST, FixedPoint, Search
+from lidarcfg.placement.starts import starting_options
 from lidarcfg.placement.study import Study
+from lidarcfg.sensors.rig import Rig
 
 PROGRESS = 0.4
 NEGLECT = 4.0
@@ -109,16 +112,18 @@ def front(
     on_part: Callable[["FrontRun"], None] | None = None,
     logs: Sequence[Sequence[Log]] = (),
     skip: bool = True,
+    rigs: Sequence[Rig] = (),
 ) -> Front:
     """Search for the rig with the least objective for each price, over all combinations that a study allows.
 
     The result depends on the seed, not on the number of threads; budgets count for all combinations together. `logs`
-    are those of an earlier search to resume. An interrupt (Ctrl-C) ends the search and keeps the front so far. Raises
-    ConfigError if nothing is to choose, and if no rig was found that meets the constraints.
+    are those of an earlier search to resume. `rigs` are tried first, each in the combination whose models it has. An
+    interrupt (Ctrl-C) ends the search and keeps the front so far. Raises ConfigError if nothing is to choose, for rigs
+    that the study does not allow, and if no rig was found that meets the constraints.
     """
     if not study.to_choose:
         raise ConfigError("nothing to choose in the study: no group has `choose`")
-    search = FrontRun(study, logs)
+    search = FrontRun(study, logs, rigs)
     interrupted = False
     try:
         search.run(threads, on_part, skip)
@@ -134,7 +139,15 @@ class CandidateSearch:
         self.combination = combination
         self._logs = list(logs)
         study = combination.study
-        search = start_search(study.solver, study.coordinates) if study.free.any() else FixedPoint()
+        points = logs[0].points if logs else None
+        if points is not None and points.shape[1] != study.free.sum():
+            raise ConfigError(f"{combination.name}: its log begins with points of another study")
+        if not study.free.any():
+            search: Search = FixedPoint()
+        elif points is None:
+            search = start_search(study.solver, study.coordinates)
+        else:
+            search = PointsFirst(study, points)
         self.runs = [self._run(search)]
         self._transfer: WarmStart | None = None  # the last one's search
 
@@ -223,10 +236,14 @@ class CandidateSearch:
 class FrontRun:
     """The searches of all combinations, in progress."""
 
-    def __init__(self, study: Study, logs: Sequence[Sequence[Log]] = ()) -> None:
+    def __init__(self, study: Study, logs: Sequence[Sequence[Log]] = (), rigs: Sequence[Rig] = ()) -> None:
+        """Raises ConfigError for rigs that the study does not allow."""
         self.study = study
         ones = combinations(study)
-        self.searches = [CandidateSearch(one, log) for one, log in zip(ones, logs or [()] * len(ones), strict=True)]
+        if not logs:
+            given = starting_options(options(study), rigs)
+            logs = [[Log.empty(np.array(given[n]))] if n in given else [] for n in range(len(ones))]
+        self.searches = [CandidateSearch(one, log) for one, log in zip(ones, logs, strict=True)]
         self.history: list[Part] = []
         self._prices = np.array([one.price for one in ones])
         self._budget = Budget.of(study.solver)

@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.plain_rigs import plain_points
 from lidarcfg.placement.points_first import STARTS, PointsFirst
 from lidarcfg.placement.search_run import Believed, Budget, Compared, Log, Placement, SearchRun, TrialEvaluator
 from lidarcfg.placement.solvers.search import FixedPoint, cost_of, unbounded
@@ -37,15 +36,17 @@ NO_BETTER = "no rig that was found misses less than the best plain rig at fresh 
 class MissesRun(SearchRun):
     """A search that minimises misses; see SearchRun."""
 
-    def __init__(self, study: Study, log: Log | None = None, plain: bool = True) -> None:
-        """With `plain`, the plain rigs are the first trials."""
-        self._points = plain_points(study) if plain else np.full((1, int(study.free.sum())), 0.5)
-        super().__init__(study, PointsFirst(study, self._points) if study.free.any() else FixedPoint(), log)
+    def __init__(self, study: Study, log: Log) -> None:
+        """It begins with the points of the log, or without any with the midpoint."""
+        points = np.full((1, int(study.free.sum())), 0.5) if log.points is None else log.points
+        self._first_points = points
+        self._given = points[: log.given]  # the rigs to start with
+        super().__init__(study, PointsFirst(study, points) if study.free.any() else FixedPoint(), log)
         self._restarts = 0
         self._cycles_before = 0  # of searches that were given up
         self.places = SEARCH_PLACES  # of each object, at which misses are counted
         self._asked_at = 0  # evaluations, when it was asked whether these tell rigs apart
-        self._plain = self._points[:0]  # the best of the plain rigs so far
+        self._plain = points[:0]  # the best of the first points so far
         self._midpoint: MissesFound | None = None
         self._compare_s = 0.0  # that it takes to compare rigs at fresh places
 
@@ -168,8 +169,8 @@ class MissesRun(SearchRun):
         return best
 
     def _rivals(self) -> Array:
-        """(n, dimensions) the points that the result must not be worse than at fresh places."""
-        return self._best_plain()
+        """(n, dimensions) the rigs given and the best plain ones: at fresh places the result is not worse than these."""
+        return np.concatenate([self._given, self._best_plain()])
 
     def _fresh_objectives(self, points: Array) -> list[float]:
         """The objectives of points (n, dimensions) at fresh places."""

@@ -1,16 +1,19 @@
 """The best rig of a study, in one call: `place` is the plain loop; `optimize` also logs, resumes and evaluates."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.placement.misses_search import MissesRun
-from lidarcfg.placement.plain_rigs import plain_points
 from lidarcfg.placement.points_first import PointsFirst
 from lidarcfg.placement.requirements_search import RequirementsRun
+from lidarcfg.placement.screen import first_points
 from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun
 from lidarcfg.placement.solvers import start_search
+from lidarcfg.placement.starts import points_of
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.sensors.rig import Rig
 
@@ -23,6 +26,7 @@ def optimize(
     skip: bool = True,
     on_evaluations: Callable[[int], None] | None = None,
     plain: bool | None = None,
+    starts: Sequence[Rig] = (),
 ) -> Placement:
     """Search for the rig with the least objective. The result depends on the seed, not on the number of threads.
 
@@ -32,8 +36,9 @@ def optimize(
     budget is in seconds). Without `skip` every trial is evaluated in full, which changes only the time. An
     interrupt (Ctrl-C) ends the search and keeps the best rig so far. If misses are minimised, if the study has
     requirements, or with `plain`, the plain rigs that an engineer would try are the first trials, so that no result is
-    worse than the best of them.
-    Raises ConfigError if nothing is free to move, or if no rig meets the constraints.
+    worse than the best of them; nor is it worse than any of the rigs in `starts`, which come before. Raises ConfigError
+    if nothing is free to move, if a start is outside the bounds or has other sensors, or if no rig meets the
+    constraints.
     """
     study = loaded(study, load_study, Study)
     if study.to_choose:
@@ -44,7 +49,7 @@ def optimize(
     dimensions = int(study.free.sum())
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
-    run = search_run(study, log, plain)
+    run = search_run(study, log, plain, starts)
     budget = Budget.of(study.solver)
     interrupted = False
     with run.evaluator(threads, skip, on_evaluations) as evaluator:
@@ -57,15 +62,22 @@ def optimize(
     return run.placement(interrupted)
 
 
-def search_run(study: Study, log: Log | None = None, plain: bool | None = None) -> SearchRun:
-    """A search that has not begun, or that replays a log; `plain` as in optimize."""
+def search_run(
+    study: Study, log: Log | None = None, plain: bool | None = None, starts: Sequence[Rig] = ()
+) -> SearchRun:
+    """A search that has not begun, or that replays a log; `plain` and `starts` as in optimize."""
+    begins_plain = bool(study.requirements or study.objective.misses) if plain is None else plain
+    if log is None:
+        points = [points_of(study, starts)] + ([first_points(study)] if begins_plain else [])
+        log = Log.empty(np.concatenate(points) if starts or begins_plain else None, len(starts))
+    elif starts:
+        raise ConfigError("a search that is resumed has begun: it takes no more rigs to start with")
     if study.requirements:
-        return RequirementsRun(study, log, plain is not False)
+        return RequirementsRun(study, log)
     if study.objective.misses:
-        return MissesRun(study, log, plain is not False)
-    if plain:
-        return SearchRun(study, PointsFirst(study, plain_points(study)), log)
-    return SearchRun(study, start_search(study.solver, study.coordinates), log)
+        return MissesRun(study, log)
+    first = start_search(study.solver, study.coordinates) if log.points is None else PointsFirst(study, log.points)
+    return SearchRun(study, first, log)
 
 
 def place(study: Study, threads: int | None = None) -> Rig:

@@ -1,10 +1,14 @@
 """The plain rigs that an engineer would try first: upright, side by side, at the ends and in the middle of the bounds.
 
 The sensors of a group stand in the middle, or are spread from end to end along x, along y, or over the corners of
-both, at the top, in the middle or at the bottom of their bounds. First all groups do the same, then each group does
-each of these, up to PLAIN_MAX rigs. A sensor is upright if its bounds allow that, else as nearly as they do.
+both, at the top, in the middle or at the bottom of their bounds. A single sensor, or a mirrored pair of which one is
+free, stands at the corner, side or end that is farthest out, or at the front or rear one of its side; so groups left
+and right, front and rear make mirrored rigs. First all groups do the same; then each is as high as it may be by itself;
+then each group does each of these, up to PLAIN_MAX rigs. A sensor is upright if its bounds allow that, else as nearly
+as they do.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain, islice, product
 
@@ -14,9 +18,10 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.placement.study import Study
 
-PLAIN_MAX = 48
+PLAIN_MAX = 96
 HEIGHTS = (1.0, 0.5, 0.0)  # fractions of the bounds
-SPREADS = ("y", "x", "corners", "middle", "front", "back")
+SPREADS = ("corners", "y", "x", "middle", "front", "back")
+Way = tuple[str, float]  # a spread and a height
 
 
 @dataclass(frozen=True)
@@ -24,43 +29,53 @@ class _Group:
     """Sensors within the same bounds that move by themselves, and their free coordinates."""
 
     slots: tuple[int, ...]
+    out: tuple[float, float]  # along x and y, the fraction of the bounds that is farthest from the vehicle's middle
 
     def positions(self, spread: str, height: float) -> Array:
         """(sensors, 3) fractions of the bounds."""
         count = len(self.slots)
         out = np.full((count, 3), 0.5)
         out[:, 2] = height
-        along = np.linspace(1.0, 0.0, count) if count > 1 else np.array([1.0])
+        along = np.linspace(1.0, 0.0, count) if count > 1 else np.array([self.out[1]])
         if spread in ("front", "back"):
-            out[:, 1] = along if count > 1 else 0.5
+            out[:, 1] = along
             out[:, 0] = float(spread == "front")
-        elif spread == "corners":
+        elif spread == "corners" and count > 1:
             out[:, 0] = [float(n % 4 < 2) for n in range(count)]
             out[:, 1] = [float(n % 2 == 0) for n in range(count)]
-        elif spread != "middle":
-            out[:, "xy".index(spread)] = along
+        elif spread == "corners":
+            out[:, :2] = self.out
+        elif spread == "y":
+            out[:, 1] = along
+        elif spread == "x":
+            out[:, 0] = along if count > 1 else self.out[0]
         return out
 
 
-def plain_points(study: Study) -> Array:
+def plain_points(study: Study, most: int = PLAIN_MAX) -> Array:
     """(n, free coordinates) points of the unit cube whose poses are the plain rigs; the first one is the midpoint."""
     groups = _groups(study)
-    ways = list(product(HEIGHTS, SPREADS))
-    alike = ([way] * len(groups) for way in ways)
-    mixed = product(ways, repeat=len(groups))
     found: dict[bytes, Array] = {}
     angles = _angles(study)
     middle = np.full(int(study.free.sum()), 0.5)
     found[middle.tobytes()] = middle
-    for each in islice(chain(alike, mixed), 100 * PLAIN_MAX):
+    for each in islice(_ways(len(groups)), 100 * most):
+        if len(found) >= most:
+            break
         unit = angles.copy()
-        for group, (height, spread) in zip(groups, each, strict=True):
+        for group, (spread, height) in zip(groups, each, strict=True):
             unit[list(group.slots), :3] = group.positions(spread, height)
         point = unit[study.free]
         found.setdefault(point.tobytes(), point)
-        if len(found) == PLAIN_MAX:
-            break
     return np.array(list(found.values()))
+
+
+def _ways(groups: int) -> Iterator[tuple[Way, ...]]:
+    """What each of the groups does, rig after rig."""
+    ways = [(spread, height) for height in HEIGHTS for spread in SPREADS]
+    alike = ((way,) * groups for way in ways)
+    heights = (tuple((spread, one) for one in each) for spread in SPREADS for each in product(HEIGHTS, repeat=groups))
+    return chain(alike, heights, product(ways, repeat=groups))
 
 
 def _groups(study: Study) -> list[_Group]:
@@ -68,7 +83,15 @@ def _groups(study: Study) -> list[_Group]:
     slots: dict[bytes, list[int]] = {}
     for i in np.flatnonzero(np.isnan(study.mirror)).tolist():
         slots.setdefault(study.lower[i].tobytes() + study.upper[i].tobytes(), []).append(i)
-    return [_Group(tuple(members)) for members in slots.values()]
+    return [_Group(tuple(members), _outward(study, members[0])) for members in slots.values()]
+
+
+def _outward(study: Study, slot: int) -> tuple[float, float]:
+    """Along x and y, which end of a sensor's bounds is farther from the vehicle's middle; the upper one if none is."""
+    below_m = study.reference_m - study.lower[slot, :2]
+    above_m = study.upper[slot, :2] - study.reference_m
+    x, y = np.where(above_m >= below_m, 1.0, 0.0).tolist()
+    return x, y
 
 
 def _angles(study: Study) -> Array:

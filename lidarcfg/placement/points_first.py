@@ -1,12 +1,10 @@
-"""Given points first, then the study's solver, which starts from the best of them."""
-
-import math
+"""Given points first, such as plain rigs or rigs to start with, then the study's solver from the best of them."""
 
 import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers import start_search
-from lidarcfg.placement.solvers.search import NO_COST, Best, Search, Trials, mean, order
+from lidarcfg.placement.solvers.search import NO_COST, Best, Search, Trials, mean, order, unbounded
 from lidarcfg.placement.study import Study
 
 STARTS = 4  # of the points, from which the solver starts
@@ -15,7 +13,7 @@ POINTS_GROWTH = 3  # of the number of points, until the best so far are what the
 
 
 class PointsFirst(Best):
-    """A search that begins with given points.
+    """Given points first, then the study's solver, which starts from the best of them.
 
     The points come in batches. In all but the first a point counts only if it is better than STARTS of those before.
     With requirements, or where misses are minimised, `auto` is annealing from the start: its trials move one sensor
@@ -25,12 +23,23 @@ class PointsFirst(Best):
     def __init__(self, study: Study, points: Array, restarts: int = 0) -> None:
         """`restarts`: how many searches of the study came before; each has another seed."""
         self._study = study
-        self._points = points
+        self.points = points
         self._seed = (study.solver.seed + restarts) % 2**63
         self._search: Search | None = None
-        self._known = np.empty((0, 2))  # costs of points
+        self._known = np.empty((0, 2))
         self.cycles = 0
         self.best_x = points[0]
+
+    @property
+    def costs(self) -> Array:
+        """(points, 2) the costs of the points; (inf, inf): of one not tried yet, or no better than others."""
+        return np.concatenate([self._known, unbounded(len(self.points) - len(self._known))])
+
+    @property
+    def best_points(self) -> Array:
+        """(s, dimensions) the best of the points, the very best first."""
+        best = order(self._known)[:STARTS]
+        return np.asarray(self.points[best[np.isfinite(self._known[best, 0])]])
 
     @property
     def sources(self) -> Array:
@@ -43,20 +52,14 @@ class PointsFirst(Best):
         if self._search:
             return self._search.mean_cost
         known = self._known[np.isfinite(self._known[:, 0])]
-        return mean(known) if len(known) else math.inf
-
-    @property
-    def best_points(self) -> Array:
-        """(s, dimensions) the best of the points, the very best first."""
-        best = order(self._known)[:STARTS]
-        return np.asarray(self._points[best[np.isfinite(self._known[best, 0])]])
+        return mean(known) if len(known) else np.inf
 
     def ask(self) -> Trials:
         """The next of the points, or the solver's next trials."""
         if self._search:
             return self._search.ask()
         done = len(self._known)
-        some = self._points[done : max(FIRST_POINTS, done * POINTS_GROWTH)]
+        some = self.points[done : max(FIRST_POINTS, done * POINTS_GROWTH)]
         beaten = self._known[order(self._known)[STARTS - 1]] if done >= STARTS else np.array(NO_COST)
         return Trials("first", some, np.zeros(len(some), np.int64), np.tile(beaten, (len(some), 1)))
 
@@ -68,7 +71,7 @@ class PointsFirst(Best):
             self.cycles = self._search.cycles
             return
         self._known = np.concatenate([self._known, cost])
-        if len(self._known) < len(self._points):
+        if len(self._known) < len(self.points):
             return
         study = self._study
         method = study.solver.method

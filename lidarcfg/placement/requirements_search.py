@@ -1,13 +1,14 @@
 """The search of a study with requirements: plain rigs first, then the solver; its best rigs are verified on the way.
 
-Only the base grid's places count in trials; of a large grid, at first some that are spread over it. So from time to
-time, and at the end, the best rig that meets all is verified, at all places of the grid and at refined ones. Where it
-fails, the worst of these join the set, and the solver starts anew from that rig. When this happens depends on the
-evaluations alone, so a search that is resumed does the same.
+Only the base grid's places count in trials; of a large grid, at first some that are spread over it. So the first rig
+that meets all of these is verified at once, at all places of the grid and at refined ones. Where it fails, the worst of
+these join the set, and the search starts anew. Nothing else is minimised before a rig is verified. Then the objective
+is, and the best rig is verified from time to time and at the end. A log says what was
+verified when, so a search that is resumed does the same.
 
 The shortfall of a rig is the sum of those of its requirements; that of one that violates constraints is INFEASIBLE or
-more, which no sum reaches. Without an objective, what is minimised of rigs that meet all is 1 / (1 + the least relative
-margin).
+more, which no sum reaches. With neither an objective nor a vehicle nothing but requirements counts, and a search ends
+with the first rig that is verified.
 """
 
 import math
@@ -26,11 +27,21 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.achievable import unachievable
 from lidarcfg.placement.evaluator import Index
 from lidarcfg.placement.misses_search import MissesRun
-from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, TrialEvaluator, objective_costs
+from lidarcfg.placement.points_first import PointsFirst
+from lidarcfg.placement.search_run import (
+    Budget,
+    Check,
+    Cycle,
+    Log,
+    Placement,
+    TrialEvaluator,
+    objective_costs,
+)
 from lidarcfg.placement.solvers.search import (
     NO_COST,
     Cost,
     is_below,
+    order,
     unbounded,
 )
 from lidarcfg.placement.study import Study
@@ -44,11 +55,14 @@ from lidarcfg.returns.misses import SEARCH_PLACES
 from lidarcfg.returns.places import FINEST_M, FINEST_RAD
 from lidarcfg.sensors.rig import Mount
 
+Places = Mapping[int, Array]  # (n, 4) by the number of a requirement
+
 SHORTFALL_MOST = 1e5  # below INFEASIBLE
 LEAST = math.ulp(0.0)  # the least number above 0
 LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
 SLICE_MOST = 1000
 LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
+FIRST_LEFT = 0.1  # as long as it is not known how long that takes
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
 
@@ -66,7 +80,7 @@ class RequirementsEvaluator:
         threads: int | None = None,
         skip: bool = True,
         on_evaluations: Callable[[int], None] | None = None,
-        more_places: Mapping[int, Array] | None = None,
+        more_places: Places | None = None,
         places: int = SEARCH_PLACES,
     ) -> None:
         """Misses are counted at so many `places` of each object."""
@@ -80,6 +94,7 @@ class RequirementsEvaluator:
         self._judge = Shortfalls(self._requirements, self._mounts, skip, more_places)
         self._objective = None if study.only_required else StudyEvaluator(study, threads, skip, places=places)
         self._seconds = 0.0
+        self.minimises = True  # what rigs that meet all are compared by; else all of them cost nothing
         self.trials = 0  # evaluated, in full or until they were refuted
 
     def __enter__(self) -> "RequirementsEvaluator":
@@ -90,7 +105,7 @@ class RequirementsEvaluator:
         if self._objective:
             self._objective.__exit__(kind, value, at)
 
-    def add_places(self, more_places: Mapping[int, Array]) -> None:
+    def add_places(self, more_places: Places) -> None:
         """Use these places, too, from now on; see Shortfalls. What is known of sensors is forgotten."""
         self._judge = Shortfalls(self._requirements, self._mounts, self._skip, more_places)
 
@@ -134,7 +149,7 @@ class RequirementsEvaluator:
         rigs = self._judge.rigs(poses)
         run = map if self._threads == 1 else self._pool.map
         cost = np.array(list(run(self._cost, rigs, limits.tolist()))).reshape(-1, 2)
-        if self._objective:
+        if self._objective and self.minimises:
             met = np.flatnonzero(cost[:, 0] == 0)
             if len(met):
                 cost[met] = objective_costs(self._objective, poses[met], source[met], source_poses, limits[met])
@@ -171,22 +186,30 @@ class Verified:
 
     x: Array
     cost: Cost
-    verdict: Verdict
+    verdict: Verdict | None  # None: not known here, but that it passes
 
 
 class RequirementsRun(MissesRun):
     """A search for a rig that meets requirements; see SearchRun."""
 
-    def __init__(self, study: Study, log: Log | None = None, plain: bool = True) -> None:
-        """With `plain`, the plain rigs are the first trials."""
+    def __init__(self, study: Study, log: Log, places: Places | None = None) -> None:
+        """It begins with the points of the log, or without any with the midpoint.
+
+        `places`: those that count from the beginning, besides the requirements' own.
+        """
         assert study.requirements
-        super().__init__(study, log, plain)
+        super().__init__(study, log)
+        self._candidates = self._first_points
         self._requirements = study.requirements
+        self._recorded = {check.told: check for check in log.checks}
+        self._checks: list[Check] = []
         self._verify_s = 0.0  # the longest time that it took
-        self._more_places: dict[int, Array] = {}  # by requirement
+        self._more_places = dict(places or {})
+        self._minimises = False  # what rigs that meet all are compared by, besides; not before one is verified
         self._next_check = 0  # evaluations
         self._interval = CHECK_EVERY
-        self._verified: Verified | None = None  # the cheapest
+        self._verified: Verified | None = None  # the best of those
+        self._judged: tuple[Array, Verdict] | None = None  # the last rig that was verified at all places
 
     @cached_property
     def _verifier(self) -> Verifier:
@@ -196,6 +219,25 @@ class RequirementsRun(MissesRun):
     def is_verified(self) -> bool:
         """Whether a rig was found that meets all requirements, refined places included."""
         return self._verified is not None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """That on the best verified rig; None where the log alone says that it passes."""
+        return self._verified.verdict if self._verified else None
+
+    @property
+    def more_places(self) -> Places:
+        """By requirement, the places (n, 4) that count besides its own."""
+        return self._more_places
+
+    @property
+    def has_checked(self) -> bool:
+        """Whether any rig was verified, or found to fail where trials do not look."""
+        return bool(self._checks)
+
+    def log(self) -> Log:
+        """All costs told so far, and what was verified."""
+        return replace(super().log(), checks=tuple(self._checks))
 
     @contextmanager
     def evaluator(
@@ -209,8 +251,9 @@ class RequirementsRun(MissesRun):
     def _evaluator(
         self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
     ) -> RequirementsEvaluator:
-        self._find_midpoint()
-        return RequirementsEvaluator(self.study, threads, skip, on_evaluations, self._more_places, self.places)
+        found = RequirementsEvaluator(self.study, threads, skip, on_evaluations, self._more_places, self.places)
+        found.minimises = self._minimises
+        return found
 
     def _costs(
         self,
@@ -236,10 +279,16 @@ class RequirementsRun(MissesRun):
 
     def is_over(self, budget: Budget) -> bool:
         """Whether a limit is reached; of seconds, some are left to verify the best rig."""
-        if self.study.only_required and self._is_best_verified:
+        if self.study.only_required and self.is_verified:
             return True
-        needed_s = 0.0 if self._is_best_verified else min(self._verify_s, LEFT_MOST * budget.seconds)
-        return super().is_over(budget) or (bool(self.history) and time.perf_counter() + needed_s >= budget.deadline)
+        return super().is_over(budget) or (bool(self.history) and not self._has_time(budget))
+
+    def _has_time(self, budget: Budget) -> bool:
+        """Whether time is left besides what it takes to verify the best rig."""
+        if self._is_best_judged or budget.seconds == math.inf:
+            return time.perf_counter() < budget.deadline
+        needed_s = min(self._verify_s or FIRST_LEFT * budget.seconds, LEFT_MOST * budget.seconds)
+        return time.perf_counter() + needed_s < budget.deadline
 
     @property
     def _meets(self) -> bool:
@@ -247,107 +296,140 @@ class RequirementsRun(MissesRun):
         return self.best_cost.shortfall == 0
 
     @property
-    def _is_best_verified(self) -> bool:
-        return self._verified is not None and bool((self.best_x == self._verified.x).all())
+    def _is_best_judged(self) -> bool:
+        """Whether the verdict on the best rig is known."""
+        return self._judged is not None and bool((self.best_x == self._judged[0]).all())
 
     def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials, and verify the best rig where that is due. Returns as SearchRun.step."""
         told = super().step(evaluator, budget)
-        is_due = self._meets and self.evaluations >= self._next_check and not self.is_over(budget)
-        if is_due and time.perf_counter() + self._verify_s < budget.deadline:
-            self._check(evaluator)
+        check = self._recorded.get(self._count)
+        if check is None and not self.is_replaying and self._is_due(budget):
+            check = self._checked()
+        if check:
+            assert isinstance(evaluator, RequirementsEvaluator)
+            self._go_on(check, evaluator)
         return told
+
+    @property
+    def _count(self) -> int:
+        """How many costs were told, those of the log only as far as they are replayed."""
+        return sum(map(len, self._told)) - len(self._replay)
+
+    def _is_due(self, budget: Budget) -> bool:
+        """Whether the best rig is to be verified now: the first that meets all at once."""
+        if not self._meets or self._is_best_judged:
+            return False
+        if not self._minimises:
+            return True
+        return self.evaluations >= self._next_check and self._has_time(budget)
 
     def verdict_on(self, x: Array) -> Verdict:
         """The verdict on the rig at a point (free coordinates,), with refined places."""
         began = time.perf_counter()
         found = self._verifier.verify(self._mounts(x))
         self._verify_s = max(self._verify_s, time.perf_counter() - began)
+        self._judged = x.copy(), found
         return found
 
-    def verify_best(self) -> bool:
-        """Whether the best rig meets all requirements, at all places."""
-        if self._is_best_verified:
-            return True
-        return self._meets and not self._missed() and self._verify().passed
-
-    def _verify(self) -> Verdict:
-        """The verdict on the best rig, which is kept if it passes."""
+    def _checked(self) -> Check:
+        """What verifying the best rig finds; at refined places only if it passes at all of the base grid."""
+        for look in (ObjectJudge.missed, ObjectJudge.missed_between):
+            if missed := self._missed(look):
+                return Check(self._count, False, missed)
         found = self.verdict_on(self.best_x)
-        if found.passed:
-            self._verified = Verified(self.best_x.copy(), self.best_cost, found)
-        return found
+        return Check(self._count, found.passed, {} if found.passed else self._failing(found))
 
     def _mounts(self, x: Array) -> Sequence[Mount]:
         """Those of the rig at a point."""
         return self.study.rig(self.study.poses(x[None])[0]).mounts
 
-    def _check(self, evaluator: TrialEvaluator) -> None:
-        """Verify the best rig; if it fails at places that do not count in trials, these join and the search goes on."""
-        assert isinstance(evaluator, RequirementsEvaluator)
-        if self._is_best_verified:
-            self._schedule(self._interval)
-            return
-        if missed := self._missed():
-            for number, places in missed.items():
-                self._add(number, places)
-            self._restart(evaluator, self._points)
-            return
-        found = self._verify()
-        if found.passed:
+    def _go_on(self, check: Check, evaluator: RequirementsEvaluator) -> None:
+        """Go on by what was found of the best rig."""
+        self._checks.append(check)
+        if check.passed:
+            verdict = self._judged[1] if self._judged and self._is_best_judged else None
+            self._verified = Verified(self.best_x.copy(), self.best_cost, verdict)
             self._schedule(2 * self._interval)
+            if not self._minimises:
+                self._minimises = True
+                self._find_midpoint()
+                self._restart(evaluator)
+                self._verified = replace(self._verified, cost=self.best_cost)
             return
         self._schedule(CHECK_EVERY)
-        if self._add_places(found):
-            self._restart(evaluator, self._points[:0])
+        for number, places in check.places.items():
+            known = self._more_places.get(number)
+            self._more_places[number] = places if known is None else np.concatenate([known, places])
+        self._restart(evaluator)
+        if self._meets and not self._minimises:  # trials cannot tell why it fails: others that meet all may pass
+            self._minimises = True
+            self._restart(evaluator)
 
-    def _restart(self, evaluator: RequirementsEvaluator, points: Array) -> None:
-        """Use the added places, and start the solver anew from the best rigs, or from some points."""
+    def _restart(self, evaluator: RequirementsEvaluator) -> None:
+        """Use the added places, and start the solver anew from the best rigs."""
         evaluator.add_places(self._more_places)
-        self._start_anew(evaluator, np.concatenate([self._verified.x[None], points]) if self._verified else points)
+        evaluator.minimises = self._minimises
+        points = self._candidates
+        if isinstance(self._search, PointsFirst) and len(self._search.costs) == len(points):
+            points = points[order(self._search.costs)]
+        self._start_anew(evaluator, points)
+        self._candidates = self._search.points if isinstance(self._search, PointsFirst) else points
+
+    def _start_anew(self, evaluator: TrialEvaluator, points: Array) -> None:
+        """As MissesRun, also from the best rig that was verified."""
+        verified = [self._verified.x[None]] if self._verified else []
+        super()._start_anew(evaluator, np.concatenate([*verified, points]))
 
     @property
     def _may_double(self) -> bool:
-        """As of MissesRun, once a rig is verified: nothing else is minimised before."""
-        return super()._may_double and self.is_verified
+        """As of MissesRun, once anything else is minimised."""
+        return super()._may_double and self._minimises
+
+    def _chosen(self) -> Array:
+        """The best rig: others need not meet the requirements."""
+        return self.best_x
 
     def _rivals(self) -> Array:
         """None: a plain rig need not meet the requirements."""
-        return self._points[:0]
+        return self._first_points[:0]
 
     def _schedule(self, interval: int) -> None:
         self._interval = interval
         self._next_check = self.evaluations + interval
 
-    def _missed(self) -> dict[int, Array]:
-        """Places of the base grid that trials leave out and at which the best rig fails, by requirement."""
+    def _missed(self, look: Callable[[ObjectJudge, Sequence[Mount]], Array]) -> dict[int, Array]:
+        """Places that trials leave out and at which the best rig fails, of the first requirement that has any."""
         mounts = self._mounts(self.best_x)
-        judges = [(n, judge) for n, judge in enumerate(self._verifier.judges) if isinstance(judge, ObjectJudge)]
-        return {n: places for n, judge in judges if len(places := judge.missed(mounts))}
+        for number, judge in enumerate(self._verifier.judges):
+            if isinstance(judge, ObjectJudge) and len(places := look(judge, mounts)):
+                return {number: places}
+        return {}
 
-    def _add(self, number: int, places: Array) -> None:
-        known = self._more_places.get(number)
-        self._more_places[number] = places if known is None else np.concatenate([known, places])
-
-    def _add_places(self, found: Verdict) -> bool:
-        """Add the worst places at which requirements fail, and those around. Returns whether there are any."""
-        added = False
+    def _failing(self, found: Verdict) -> dict[int, Array]:
+        """The worst places at which requirements fail, and those around, by requirement."""
+        out = {}
         for number, (item, one) in enumerate(zip(self._requirements.items, found.requirements, strict=True)):
             if one.passed or not isinstance(item, ObjectRequirement) or item.at_least < 1 or one.worst is None:
                 continue
             heading = math.radians(one.worst.heading_deg or 0.0)
             place = np.array([[one.worst.x_m, one.worst.y_m, item.stand.ground_m, heading]])
-            self._add(number, np.concatenate([place, item.stand.around(place, FINEST_M, FINEST_RAD, set())]))
-            added = True
-        return added
+            out[number] = np.concatenate([place, item.stand.around(place, FINEST_M, FINEST_RAD, set())])
+        return out
+
+    def verify_best(self) -> Verdict:
+        """The verdict on the best rig, at all places; it is kept if it passes."""
+        if self._is_best_judged:
+            assert self._judged
+            return self._judged[1]
+        found = self.verdict_on(self.best_x)
+        if found.passed:
+            self._verified = Verified(self.best_x.copy(), self.best_cost, found)
+        return found
 
     def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
         """The result: the best rig; where that fails at refined places alone, the best that was verified."""
-        x = self.best_x
-        if verdict is None and self._verified and self._is_best_verified:
-            verdict = self._verified.verdict
-        if verdict is None:
-            verdict = Verdict(()) if self.best_cost == NO_COST else self.verdict_on(x)
+        verdict = verdict or (Verdict(()) if self.best_cost == NO_COST else self.verify_best())
         remarks = []
         if self._meets and not verdict.passed:
             what = "the best rig met all requirements at the places that count in a search, but not at all others"
@@ -357,21 +439,21 @@ class RequirementsRun(MissesRun):
                 what += "; search longer, and the worst of them count"
             remarks.append(what)
         if self._verified and not verdict.passed:
-            x = self._verified.x
-            verdict = self._verified.verdict
-            self.best_x = x
+            self.best_x = self._verified.x
             self.best_cost = self._verified.cost
+            verdict = self._verified.verdict or self.verdict_on(self.best_x)
         if self._more_places:
             places = sum(len(one) for one in self._more_places.values())
             remarks.append(f"{places} places joined those that count in a search, as rigs failed there")
+        self._find_midpoint()
         found = super().placement(interrupted, _with_reasons(self.study, verdict))
-        poses = self.study.poses(x[None])[0]
         objective = found.objective
         if self.study.only_required:
             objective = verdict.least_margin
-        elif not self._meets:
-            objective = self.study.cost(poses)
-        return replace(found, objective=objective, remarks=tuple(remarks))
+        elif not (self._meets and self._minimises):
+            objective = self.study.cost(self.study.poses(self.best_x[None])[0])
+        believed = found.believed if self._minimises else None
+        return replace(found, objective=objective, believed=believed, remarks=tuple(remarks))
 
 
 def _with_reasons(study: Study, found: Verdict) -> Verdict:

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Protocol
@@ -48,16 +48,28 @@ class Cycle:
 
 
 @dataclass(frozen=True)
+class Check:
+    """What verifying the best rig of a search found, once so many costs had been told."""
+
+    told: int
+    passed: bool
+    places: Mapping[int, Array]  # by requirement, those (n, 4) at which it failed and that count from then on
+
+
+@dataclass(frozen=True)
 class Log:
-    """The costs that a search was told: everything needed to resume it."""
+    """The costs that a search was told, and what else it went by: everything needed to resume it."""
 
     cost: Array  # (told, 2) in the order of asking
     seconds: float  # spent so far
+    points: Array | None = None  # (n, free coordinates) those that it began with, if any
+    given: int = 0  # how many of these, the first, are rigs that were given to start with
+    checks: tuple[Check, ...] = ()
 
     @classmethod
-    def empty(cls) -> "Log":
-        """The log of a search that has not begun."""
-        return cls(np.empty((0, 2)), 0.0)
+    def empty(cls, points: Array | None = None, given: int = 0) -> "Log":
+        """The log of a search that has not begun; `points` are to be its first trials."""
+        return cls(np.empty((0, 2)), 0.0, points, given)
 
 
 @dataclass(frozen=True)
@@ -211,6 +223,8 @@ class SearchRun:
         self.study = study
         self._search = search
         self._replay = log.cost
+        self._points = log.points
+        self._given_count = log.given
         self._told = [log.cost]
         self._spent = log.seconds  # before this part
         self._since = math.inf  # when it began
@@ -232,6 +246,11 @@ class SearchRun:
         return self._search.cycles
 
     @property
+    def is_replaying(self) -> bool:
+        """Whether costs of the log are left."""
+        return len(self._replay) > 0
+
+    @property
     def seconds(self) -> float:
         """Spent so far, without pauses."""
         return self._spent + max(time.perf_counter() - self._since, 0.0)
@@ -242,7 +261,7 @@ class SearchRun:
 
     def log(self) -> Log:
         """All costs told so far."""
-        return Log(np.concatenate(self._told), self.seconds)
+        return Log(np.concatenate(self._told), self.seconds, self._points, self._given_count)
 
     @contextmanager
     def evaluator(

@@ -47,7 +47,15 @@ if TYPE_CHECKING:
 STUDY = "study.yaml"
 POINT = (STUDY, *RESULTS)  # the files of a point
 # the arrays of search.npz: kind and dimensions
-LOG = {"cost": ("f", 2), "told": ("i", 1), "owner": ("i", 1), "seconds": ("f", 1), "asked": ("U", 0)}
+LOG = {
+    "cost": ("f", 2),
+    "points": ("f", 1),
+    "first": ("i", 2),
+    "told": ("i", 1),
+    "owner": ("i", 1),
+    "seconds": ("f", 1),
+    "asked": ("U", 0),
+}
 PICTURES_MAX = 8  # of rigs, in a row
 PICTURE_IN = WIDTH_IN / PICTURES_MAX
 PLOT_IN = 3.4
@@ -147,6 +155,8 @@ def save_front_log(study: Study, logs: Sequence[Sequence[Log]], folder: Path) ->
         np.savez_compressed(
             file,
             cost=np.concatenate([log.cost for _, log in every]),
+            points=np.concatenate([np.empty(0), *(log.points.ravel() for _, log in every if log.points is not None)]),
+            first=np.array([(0, 0) if log.points is None else log.points.shape for _, log in every], np.int64),
             told=np.array([len(log.cost) for _, log in every], np.int64),
             owner=np.array([owner for owner, _ in every], np.int64),
             seconds=np.array([log.seconds for _, log in every]),
@@ -168,8 +178,11 @@ def load_front_logs(study: Study, folder: Path, combinations: int) -> list[list[
         raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
     logs: list[list[Log]] = [[] for _ in range(combinations)]
     parts = np.split(cost.astype(np.float64), np.cumsum(told)[:-1])
-    for number, part, spent in zip(owner.tolist(), parts, seconds.tolist(), strict=True):
-        logs[number].append(Log(part, spent))
+    first = arrays["first"]
+    points = np.split(arrays["points"], np.cumsum(first.prod(axis=1))[:-1])
+    for n, (number, part, spent) in enumerate(zip(owner.tolist(), parts, seconds.tolist(), strict=True)):
+        begun = points[n].reshape(first[n]) if first[n].all() else None
+        logs[number].append(Log(part, spent, begun))
     return logs
 
 
@@ -178,7 +191,12 @@ def _is_log(arrays: Mapping[str, NDArray[Any]]) -> bool:
     if {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()} != LOG:
         return False
     cost, told, owner, seconds = (arrays[key] for key in ("cost", "told", "owner", "seconds"))
-    lengths = cost.shape[1] == PAIR and len(told) == len(owner) == len(seconds) > 0 and told.sum() == len(cost)
+    first = arrays["first"]
+    if cost.shape[1] != PAIR or first.shape != (len(told), 2) or (first < 0).any():
+        return False
+    if first.prod(axis=1).sum() != len(arrays["points"]) or not np.isfinite(arrays["points"]).all():
+        return False
+    lengths = len(told) == len(owner) == len(seconds) > 0 and told.sum() == len(cost)
     return bool(
         lengths and (told >= 0).all() and not np.isnan(cost).any() and ((seconds >= 0) & (seconds < np.inf)).all()
     )

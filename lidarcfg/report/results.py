@@ -5,7 +5,7 @@ import json
 import math
 import re
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.evaluation import OFFSETS, STEP_DEG, STEP_M, Evaluation, Robustness
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.return_counts import STEP_M as STEP_M_OF_RETURNS
-from lidarcfg.placement.search_run import Believed, Log, Placement
+from lidarcfg.placement.search_run import Believed, Check, Log, Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
 from lidarcfg.report.document import Baseline, Commands, report
@@ -253,8 +253,17 @@ VERIFIED = ("verdict.json", "verdict.html")  # the files of a verification
 FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # the files of a front
 # The files of a search.
 RESULTS = (*PROGRESS, "result.json", "history.csv", "convergence.png", "rig.png", "report.html")
-LOG = {"cost": ("f", 2), "seconds": ("f", 0), "asked": ("U", 0)}  # kind and dimensions of the arrays of search.npz
+LOG = {  # kind and dimensions of the arrays of search.npz
+    "cost": ("f", 2),
+    "seconds": ("f", 0),
+    "points": ("f", 2),
+    "given": ("i", 0),
+    "checked": ("i", 2),
+    "places": ("f", 2),
+    "asked": ("U", 0),
+}
 PAIR = 2  # a cost: shortfall and objective
+PLACE = 6  # the number of a check, that of a requirement, and x, y, z and heading
 
 
 def check_writable(folder: Path, names: Iterable[str]) -> None:
@@ -280,25 +289,65 @@ def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
 
 def _write_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
     with replacing(folder / "search.npz", "wb") as file:
-        np.savez_compressed(file, cost=log.cost, seconds=log.seconds, asked=fingerprint(study))
+        np.savez_compressed(file, **log_arrays(log), asked=fingerprint(study))
     save_rig(rig, folder / "rig.yaml")
+
+
+def log_arrays(log: Log) -> dict[str, Any]:
+    """The arrays of search.npz."""
+    places = [
+        np.column_stack([np.full((len(some), 2), (n, number)), some])
+        for n, check in enumerate(log.checks)
+        for number, some in check.places.items()
+    ]
+    return {
+        "cost": log.cost,
+        "seconds": log.seconds,
+        "points": np.empty((0, 0)) if log.points is None else log.points,
+        "given": log.given,
+        "checked": np.array([(one.told, one.passed) for one in log.checks], np.int64).reshape(-1, 2),
+        "places": np.concatenate([np.empty((0, PLACE)), *places]),
+    }
+
+
+def log_of(arrays: Mapping[str, Any]) -> Log | None:
+    """The log in the arrays of search.npz; None if they are none."""
+    columns = {"cost": PAIR, "checked": 2, "places": PLACE}
+    if {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()} != LOG:
+        return None
+    if any(arrays[key].shape[1] != count for key, count in columns.items()):
+        return None
+    cost, seconds, points, given, checked, places = (arrays[key] for key in LOG if key != "asked")
+    if not 0 <= given <= len(points):
+        return None
+    if np.isnan(cost).any() or not 0 <= seconds < np.inf or not np.isfinite(points).all():
+        return None
+    if not np.isfinite(places).all() or not np.isin(places[:, 0], range(len(checked))).all():
+        return None
+    checks = []
+    for n, (told, passed) in enumerate(checked.tolist()):
+        own = places[places[:, 0] == n]
+        of = {int(number): own[own[:, 1] == number, 2:] for number in dict.fromkeys(own[:, 1].tolist())}
+        checks.append(Check(told, bool(passed), of))
+    begun = points if points.size else None
+    return Log(cost.astype(np.float64), float(seconds), begun, int(given), tuple(checks))
 
 
 def load_log(study: Study, folder: Path) -> Log:
     """The log in a folder's search.npz. Raises ConfigError if it is not one, or belongs to another search."""
     path = folder / "search.npz"
     try:
-        arrays = read_arrays(path, ("cost", "seconds", "asked"))
+        arrays = read_arrays(path, tuple(LOG))
     except CloudError as error:
         raise ConfigError(str(error)) from None
-    shapes = {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()}
-    is_log = shapes == LOG and arrays["cost"].shape[1] == PAIR
-    if not is_log or np.isnan(arrays["cost"]).any() or not 0 <= arrays["seconds"] < np.inf:
+    log = log_of(arrays)
+    if log is None:
         raise ConfigError(f"{path}: is not the log of a search")
-    log = Log(arrays["cost"].astype(np.float64), float(arrays["seconds"]))
     asked = str(arrays["asked"])
     if asked != fingerprint(study):
         raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
+    if log.points is not None and log.points.shape[1] != study.free.sum():
+        raise ConfigError(f"{path}: is not the log of a search")
     return log
 
 

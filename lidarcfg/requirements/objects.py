@@ -17,13 +17,14 @@ from lidarcfg.requirements.trial_rig import TrialRig
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
 from lidarcfg.returns.counts import ClusterRule, Lowest, OnPlaces, count_clusters, no_progress
 from lidarcfg.returns.known import Share, Standing, lowest_at, shares
-from lidarcfg.returns.places import FINEST_M, FINEST_RAD, Stand
+from lidarcfg.returns.places import Stand
 from lidarcfg.returns.scanners import Poses, poses_of, scanners_of
 from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.tracer import Obstacles
 
 LOWEST = 256  # places, around which others are tried
+REFINED_WORK = 4  # of a refined place, by that of one of the base grid: they lie where it takes long to count
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then
@@ -112,6 +113,15 @@ class Refined:
 
 
 @dataclass(frozen=True)
+class RefinedOf:
+    """The measurements of a rig's mounts."""
+
+    mounts: tuple[Mount, ...]
+    cap: int
+    refined: Refined
+
+
+@dataclass(frozen=True)
 class Clustered:
     """The clusters that a rig gets at the base grid's places, which take long to find."""
 
@@ -157,11 +167,16 @@ class ObjectJudge:
         self._weight = np.zeros(len(self.places))  # what places counted for in earlier batches of trials
         self._of_batch = np.zeros(len(self.places))  # and in this one
         self._order: Rows = np.arange(len(self.places))
+        self._latest_refined: RefinedOf | None = None
 
     @property
     def work(self) -> int:
-        """The number of places at which rigs are measured, for progress."""
-        return len(self.places) * (1 + (self._robust.drawn if self._robust else 0))
+        """The number of places at which rigs are measured, about; for progress."""
+        stand = self.item.stand
+        steps = list(stand.refinements)
+        around = sum(9 * (3 if step_rad else 1) for _, step_rad in steps + 2 * steps[-1:])
+        refined = around * min(LOWEST, len(self.places)) // 2  # neighbours are shared
+        return len(self.places) * (1 + (self._robust.drawn if self._robust else 0)) + REFINED_WORK * refined
 
     @property
     def first_cap(self) -> int:
@@ -232,15 +247,32 @@ class ObjectJudge:
                 return np.ascontiguousarray(places[short][order[:MISSED_MOST]])
         return np.empty((0, 4))
 
-    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
-        """The verdict on a rig."""
-        item = self.item
+    def missed_between(self, mounts: Sequence[Mount]) -> Array:
+        """(n, 4) places between those of the base grid at which a rig fails, the worst first.
+
+        They are refined until some are found; if none are, `judge` takes no longer than it has to.
+        """
+        if self.item.at_least < 1:
+            return np.empty((0, 4))
+        tried = self._tried(mounts, *self._base(mounts), stops=True).every
+        short = np.flatnonzero(tried.values < self.item.returns)
+        order = np.argsort(tried.values[short], kind="stable")[:MISSED_MOST]
+        return np.ascontiguousarray(tried.places[short[order]])
+
+    def _base(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> tuple[Measured, int]:
+        """What a rig reaches at the base grid's places, exact below the cap, and that, which is above the lowest."""
         cap = self.first_cap
         base = self.measured(mounts, cap, on_places)
         while self._worst_of_base(base)[1] >= cap and cap < CAP_MAX:
             cap *= CAP_FACTOR
             base = self.measured(mounts, cap)
-        tried = self._tried(mounts, base)
+        return base, cap
+
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
+        """The verdict on a rig."""
+        item = self.item
+        base, cap = self._base(mounts, on_places)
+        tried = self._tried(mounts, base, cap, on_places)
         at, value = self._worst(tried)
         counted = tried.base if item.at_least < 1 else tried.every
         found = mounts
@@ -357,12 +389,14 @@ class ObjectJudge:
         lowest = self._share.lowest(rig, cap, self.item.wanted, on_places=on_places)
         return Measured(self.places, reached(lowest.counts, self.item.lost, self.item.sensors), lowest)
 
-    def measured_at(self, places: Array, mounts: Sequence[Mount], cap: int) -> Measured:
+    def measured_at(
+        self, places: Array, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress
+    ) -> Measured:
         """What a rig reaches at other places (P, 4)."""
         item = self.item
         if item.cluster_m is not None:
-            return self._clusters(places, mounts, cap)
-        lowest = lowest_at(places, item.target, mounts, self._obstacles, cap, item.wanted)
+            return self._clusters(places, mounts, cap, on_places)
+        lowest = lowest_at(places, item.target, mounts, self._obstacles, cap, item.wanted, on_places)
         return Measured(places, reached(lowest.counts, item.lost, item.sensors), lowest)
 
     def _clusters(
@@ -522,32 +556,57 @@ class ObjectJudge:
                 values[lowest] = self._clusters(places, left, cap, lost=0).values
             yield values
 
-    def _tried(self, mounts: Sequence[Mount], base: Measured) -> Refined:
+    def _tried(
+        self,
+        mounts: Sequence[Mount],
+        base: Measured,
+        cap: int,
+        on_places: OnPlaces = no_progress,
+        stops: bool = False,
+    ) -> Refined:
         """The base grid's counts, and those at places between, around the lowest, down to the finest spacing.
+
+        Of mounts just looked at, as kept. With `stops` it ends once fewer returns than demanded are found.
+        """
+        known = self._latest_refined
+        if known and known.mounts == tuple(mounts) and known.cap == cap:
+            return known.refined
+        found = Refined(base, base, 0.0, 0.0)
+        for found in self._refined(mounts, base, on_places):
+            if stops and found.every.values.min() < self.item.returns:
+                return found
+        self._latest_refined = RefinedOf(tuple(mounts), cap, found)
+        return found
+
+    def _refined(self, mounts: Sequence[Mount], base: Measured, on_places: OnPlaces) -> Iterator[Refined]:
+        """The measurements round after round.
 
         Each round counts up to the greatest of the lowest so far, as what has more is looked at no further.
         """
+
+        def on_refined(count: int) -> None:
+            on_places(REFINED_WORK * count)
+
         stand = self.item.stand
         greatest = int(base.values[_lowest(base.values)].max())
         every = base
         if len(stand.edge):
-            every = base.joined(self.measured_at(stand.edge, mounts, max(greatest + 1, self.item.returns)))
+            cap = max(greatest + 1, self.item.returns)
+            every = base.joined(self.measured_at(stand.edge, mounts, cap, on_refined))
         seen: set[tuple[int, ...]] = set()
-        step_m = stand.far_step_m
-        turns = np.diff(stand.headings_rad)
-        step_rad = float(turns.min()) if len(turns) else 0.0
-        while step_m > FINEST_M or step_rad > FINEST_RAD:
-            step_m = step_m / 2 if step_m > 2 * FINEST_M else min(step_m, FINEST_M)
-            step_rad = step_rad / 2 if step_rad > 2 * FINEST_RAD else min(step_rad, FINEST_RAD)
-            every = self._with_neighbours(every, _lowest(every.values), step_m, step_rad, seen, mounts)
+        step_m, step_rad = stand.first_steps
+        yield Refined(base, every, step_m, step_rad)
+        for step_m, step_rad in stand.refinements:
+            every = self._with_neighbours(every, _lowest(every.values), step_m, step_rad, seen, mounts, on_refined)
+            yield Refined(base, every, step_m, step_rad)
         for _ in range(ROUNDS_MAX):  # until all neighbours of the lowest are known
             lowest = np.flatnonzero(every.values == every.values.min())[:LOWEST]
-            more = self._with_neighbours(every, lowest, step_m, step_rad, seen, mounts)
+            more = self._with_neighbours(every, lowest, step_m, step_rad, seen, mounts, on_refined)
             settled = len(more.places) == len(every.places)
             every = more
+            yield Refined(base, every, step_m, step_rad)
             if settled:
                 break
-        return Refined(base, every, step_m, step_rad)
 
     def _with_neighbours(
         self,
@@ -557,6 +616,7 @@ class ObjectJudge:
         step_rad: float,
         seen: set[tuple[int, ...]],
         mounts: Sequence[Mount],
+        on_places: OnPlaces,
     ) -> Measured:
         """With the neighbours, at these spacings, of some of the places, as far as they are new and in the zone.
 
@@ -565,7 +625,7 @@ class ObjectJudge:
         """
         cap = max(int(tried.values[centres].max()) + 1, self.item.returns)
         fresh = self.item.stand.around(tried.places[centres], step_m, step_rad, seen)
-        return tried.joined(self.measured_at(fresh, mounts, cap)) if len(fresh) else tried
+        return tried.joined(self.measured_at(fresh, mounts, cap, on_places)) if len(fresh) else tried
 
 
 def positions(places: Array, values: Counts) -> tuple[NDArray[np.intp], Counts]:

@@ -220,8 +220,14 @@ def united(groups: Sequence[Array]) -> tuple[Array, list[Numbers]]:
 
 
 def lowest_at(
-    places: Array, target: Target, mounts: Sequence[Mount], obstacles: Obstacles, cap: int, wanted: int
+    places: Array,
+    target: Target,
+    mounts: Sequence[Mount],
+    obstacles: Obstacles,
+    cap: int,
+    wanted: int,
+    on_places: OnPlaces = no_progress,
 ) -> Lowest:
     """The mounts' lowest counts at places (P, 4), of which nothing is kept; as KnownReturns.lowest."""
     known = KnownReturns([Standing(target, places)], obstacles, mounts)
-    return known.lowest(known.rig(mounts), 0, np.arange(len(places)), cap, wanted)
+    return known.lowest(known.rig(mounts), 0, np.arange(len(places)), cap, wanted, on_places)

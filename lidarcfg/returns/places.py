@@ -1,6 +1,7 @@
 """The places at which an object must be seen: a base grid in a zone, and a finer one around some of its places."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -232,6 +233,21 @@ class Stand:
         shape = len(at_m), len(self.headings_rad)
         columns = at_m[:, :1], at_m[:, 1:], self.ground_m, self.headings_rad
         return np.stack([np.broadcast_to(column, shape).ravel() for column in columns], axis=1)
+
+    @property
+    def first_steps(self) -> tuple[float, float]:
+        """The spacing of the base grid, farther out, and of its headings; 0 where there is one."""
+        turns = np.diff(self.headings_rad)
+        return self.far_step_m, float(turns.min()) if len(turns) else 0.0
+
+    @property
+    def refinements(self) -> Iterator[tuple[float, float]]:
+        """Ever finer spacings of positions and of headings, from half those of the base grid on."""
+        step_m, step_rad = self.first_steps
+        while step_m > FINEST_M or step_rad > FINEST_RAD:
+            step_m = step_m / 2 if step_m > 2 * FINEST_M else min(step_m, FINEST_M)
+            step_rad = step_rad / 2 if step_rad > 2 * FINEST_RAD else min(step_rad, FINEST_RAD)
+            yield step_m, step_rad
 
     def around(self, places: Array, step_m: float, step_rad: float, seen: set[tuple[int, ...]]) -> Array:
         """(n, 4) the neighbours of places (P, 4) at these spacings that are in the zone and not in `seen`.
