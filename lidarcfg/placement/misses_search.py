@@ -169,7 +169,7 @@ class MissesRun(SearchRun):
         return best
 
     def _rivals(self) -> Array:
-        """(n, dimensions) the rigs given and the best plain ones: at fresh places the result is not worse than these."""
+        """(n, dimensions) the rigs given and the best plain ones, than which the result is no worse."""
         return np.concatenate([self._given, self._best_plain()])
 
     def _fresh_objectives(self, points: Array) -> list[float]:

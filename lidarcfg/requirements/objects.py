@@ -19,12 +19,14 @@ from lidarcfg.returns.counts import ClusterRule, Lowest, OnPlaces, count_cluster
 from lidarcfg.returns.known import Share, Standing, lowest_at, shares
 from lidarcfg.returns.places import Stand
 from lidarcfg.returns.scanners import Poses, poses_of, scanners_of
+from lidarcfg.returns.silhouettes import Core, Silhouettes, centres_of
 from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.tracer import Obstacles
 
 LOWEST = 256  # places, around which others are tried
 REFINED_WORK = 4  # of a refined place, by that of one of the base grid: they lie where it takes long to count
+LOWEST_SHADOWED = 64  # of those in narrow shadows
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then
@@ -168,6 +170,7 @@ class ObjectJudge:
         self._of_batch = np.zeros(len(self.places))  # and in this one
         self._order: Rows = np.arange(len(self.places))
         self._latest_refined: RefinedOf | None = None
+        self._silhouettes = Silhouettes(obstacles)
 
     @property
     def work(self) -> int:
@@ -315,6 +318,7 @@ class ObjectJudge:
                 base_m=(item.stand.near_step_m, item.stand.far_step_m),
                 finest_m=tried.finest_m,
                 finest_deg=round(math.degrees(tried.finest_rad), 9),
+                shadows=item.at_least == 1,
             ),
             notes=tuple(notes),
         )
@@ -500,8 +504,9 @@ class ObjectJudge:
         for errors in self._robust.errors(len(mounts)):
             off = misplaced(mounts, errors)
             measured = self.measured(off, cap, on_places)
-            if self.item.at_least == 1 and len(refined):
-                measured = measured.joined(self.measured_at(np.ascontiguousarray(refined), off, cap))
+            more = np.concatenate([refined, self._shadowed(off)])
+            if self.item.at_least == 1 and len(more):
+                measured = measured.joined(self.measured_at(more, off, cap))
             if self.item.at_least == 1:
                 at = int(measured.values.argmin())
                 out.append((measured, at, int(measured.values[at])))
@@ -564,7 +569,7 @@ class ObjectJudge:
         on_places: OnPlaces = no_progress,
         stops: bool = False,
     ) -> Refined:
-        """The base grid's counts, and those at places between, around the lowest, down to the finest spacing.
+        """The base grid's counts, and those at places between: around the lowest, and in narrow shadows of the bodies.
 
         Of mounts just looked at, as kept. With `stops` it ends once fewer returns than demanded are found.
         """
@@ -579,32 +584,54 @@ class ObjectJudge:
         return found
 
     def _refined(self, mounts: Sequence[Mount], base: Measured, on_places: OnPlaces) -> Iterator[Refined]:
-        """The measurements round after round.
-
-        Each round counts up to the greatest of the lowest so far, as what has more is looked at no further.
-        """
+        """The measurements round after round. What has more returns than the lowest so far is counted no further."""
 
         def on_refined(count: int) -> None:
             on_places(REFINED_WORK * count)
 
         stand = self.item.stand
-        greatest = int(base.values[_lowest(base.values)].max())
         every = base
         if len(stand.edge):
-            cap = max(greatest + 1, self.item.returns)
-            every = base.joined(self.measured_at(stand.edge, mounts, cap, on_refined))
+            every = base.joined(self.measured_at(stand.edge, mounts, self._enough(base), on_refined))
         seen: set[tuple[int, ...]] = set()
-        step_m, step_rad = stand.first_steps
-        yield Refined(base, every, step_m, step_rad)
-        for step_m, step_rad in stand.refinements:
-            every = self._with_neighbours(every, _lowest(every.values), step_m, step_rad, seen, mounts, on_refined)
-            yield Refined(base, every, step_m, step_rad)
+        yield Refined(base, every, *stand.first_steps)
+        begun = every
+        for every, *steps in self._finer(begun, mounts, LOWEST, seen, on_refined):
+            yield Refined(base, every, *steps)
+        shadowed = self._shadowed(mounts)
+        if len(shadowed):
+            found = self.measured_at(shadowed, mounts, self._enough(every), on_refined)
+            for finer, *steps in self._finer(found, mounts, LOWEST_SHADOWED, seen, on_refined):
+                yield Refined(base, every.joined(finer), *steps)
+
+    def _enough(self, tried: Measured) -> int:
+        """More returns than any of the lowest places has, and as many as are demanded."""
+        return max(int(tried.values[_lowest(tried.values, LOWEST)].max()) + 1, self.item.returns)
+
+    def _shadowed(self, mounts: Sequence[Mount]) -> Array:
+        """(n, 4) places in narrow shadows of the bodies; none for a fraction of the base grid's positions."""
+        stand = self.item.stand
+        if self.item.at_least < 1:
+            return np.empty((0, 4))
+        core = Core.of(stand.width_m, float(self.item.target.size_m[2]), stand.ground_m)
+        return stand.standing(self._silhouettes.places(centres_of(mounts), core, stand.area, stand.far_step_m))
+
+    def _finer(
+        self, tried: Measured, mounts: Sequence[Mount], most: int, seen: set[tuple[int, ...]], on_places: OnPlaces
+    ) -> Iterator[tuple[Measured, float, float]]:
+        """With places around the `most` lowest, ever closer, until nothing around is lower; and the spacings."""
+        every = tried
+        step_m, step_rad = self.item.stand.first_steps
+        for step_m, step_rad in self.item.stand.refinements:
+            lowest = _lowest(every.values, most)
+            every = self._with_neighbours(every, lowest, step_m, step_rad, seen, mounts, on_places)
+            yield every, step_m, step_rad
         for _ in range(ROUNDS_MAX):  # until all neighbours of the lowest are known
-            lowest = np.flatnonzero(every.values == every.values.min())[:LOWEST]
-            more = self._with_neighbours(every, lowest, step_m, step_rad, seen, mounts, on_refined)
+            lowest = np.flatnonzero(every.values == every.values.min())[:most]
+            more = self._with_neighbours(every, lowest, step_m, step_rad, seen, mounts, on_places)
             settled = len(more.places) == len(every.places)
             every = more
-            yield Refined(base, every, step_m, step_rad)
+            yield every, step_m, step_rad
             if settled:
                 break
 
@@ -623,6 +650,8 @@ class ObjectJudge:
         They are counted up to the greatest of these, and to what is demanded, as it matters which sensors' loss breaks
         that.
         """
+        if not len(centres):
+            return tried
         cap = max(int(tried.values[centres].max()) + 1, self.item.returns)
         fresh = self.item.stand.around(tried.places[centres], step_m, step_rad, seen)
         return tried.joined(self.measured_at(fresh, mounts, cap, on_places)) if len(fresh) else tried
@@ -644,7 +673,7 @@ def cases(sensors: int, lost: int) -> list[list[int]]:
     return [whole, *([n for n in whole if n not in gone] for gone in ways)]
 
 
-def _lowest(values: Counts) -> NDArray[np.intp]:
+def _lowest(values: Counts, most: int = LOWEST) -> NDArray[np.intp]:
     """The numbers of the lowest values."""
-    count = min(LOWEST, len(values))
+    count = min(most, len(values))
     return np.argpartition(values, count - 1)[:count] if count else np.empty(0, np.intp)

@@ -2,7 +2,8 @@
 
 A post 0.1 m wide stands upright on the ground; it is seen if at least one beam of a revolution returns from it,
 whichever way the sensors' heads point at first. Along each azimuth from the middle of the body's bounds, posts stand
-every STEP_M from the outline on. Distances are those of the post's middle from the body.
+every STEP_M from the outline on. Distances are those of the post's middle from the body. A verdict also looks along
+azimuths on which a narrow shadow of the bodies hides a post between these.
 """
 
 import math
@@ -13,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
 from lidarcfg import maths
 from lidarcfg.geometry import Array
@@ -23,12 +25,17 @@ from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPla
 from lidarcfg.returns.counts import OnPlaces, no_progress
 from lidarcfg.returns.known import Share, Standing, lowest_at, shares
 from lidarcfg.returns.places import Zone
+from lidarcfg.returns.silhouettes import Core, Silhouettes, centres_of
 from lidarcfg.returns.target import Target, box_target
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.tracer import Obstacles
 
 AZIMUTHS = 360
+BETWEEN_DEG = 0.05  # apart, azimuths between these
+BETWEEN_REACH = 5  # of them on both sides of one on which a post is hidden
+BETWEEN_DIGITS = 2  # of their degrees
+BETWEEN_MOST = 720
 STEP_M = 0.05  # between two posts of an azimuth
 WIDTH_M = 0.1
 RUN_M = 0.5  # without a gap: from its beginning on, a post counts as seen
@@ -42,6 +49,11 @@ Counts = NDArray[np.int32]
 class PostPlaces:
     """Where posts stand: N steps along each of A azimuths from the outline outwards."""
 
+    body: Footprint
+    ground_m: float
+    within_m: tuple[float, float]  # of the body
+    zone: Zone | None
+    azimuth_deg: Array  # (A,) counter-clockwise from ahead
     places: Array  # (A, N, 4) x, y, the ground's z, heading
     distance_m: Array  # (A, N) from the body
     from_middle_m: Array  # (A, N)
@@ -54,17 +66,24 @@ class PostPlaces:
 
     @classmethod
     def around(
-        cls, body: Footprint, ground_m: float, within_m: tuple[float, float] = (0.0, LIMIT_M), zone: Zone | None = None
+        cls,
+        body: Footprint,
+        ground_m: float,
+        within_m: tuple[float, float] = (0.0, LIMIT_M),
+        zone: Zone | None = None,
+        azimuth_deg: Array | None = None,
     ) -> "PostPlaces":
-        """Around a body, at distances from it, in a zone's sector."""
-        azimuth = 2 * math.pi / AZIMUTHS * np.arange(AZIMUTHS)
+        """Around a body, at distances from it, in a zone's sector; along AZIMUTHS, or others (A,)."""
+        if azimuth_deg is None:
+            return cls.around(body, ground_m, within_m, zone, np.linspace(0.0, 360.0, AZIMUTHS, endpoint=False))
+        azimuth: Array = np.radians(azimuth_deg)
         way = np.stack([maths.cos(azimuth), maths.sin(azimuth)], axis=1)
         low, high = body.bounds_m
         diagonal_m = math.dist(low, high)
         beyond = body.middle_m + way * diagonal_m
         lines = shapely.linestrings(np.stack([np.broadcast_to(body.middle_m, beyond.shape), beyond], axis=1))
         inside = shapely.intersection(lines, body.shape)
-        start_m = np.zeros(AZIMUTHS)
+        start_m = np.zeros(len(azimuth))
         corners, number = shapely.get_coordinates(inside, return_index=True)
         np.maximum.at(start_m, number, np.linalg.norm(corners - body.middle_m, axis=1))
         steps = np.arange(1, math.ceil((within_m[1] + diagonal_m / 2) / STEP_M) + 1)
@@ -77,7 +96,29 @@ class PostPlaces:
         columns = at[..., 0], at[..., 1], ground_m, azimuth[:, None]
         places = np.stack([np.broadcast_to(column, counts.shape) for column in columns], axis=-1)
         last = int(np.flatnonzero(counts.any(axis=0)).max(initial=0)) + 1
-        return cls(places[:, :last], distance_m[:, :last], from_middle_m[:, :last], counts[:, :last])
+        some = (places[:, :last], distance_m[:, :last], from_middle_m[:, :last], counts[:, :last])
+        return cls(body, ground_m, within_m, zone, azimuth_deg, *some)
+
+    def along(self, azimuth_deg: Array) -> "PostPlaces":
+        """The same along other azimuths (A,)."""
+        return PostPlaces.around(self.body, self.ground_m, self.within_m, self.zone, azimuth_deg)
+
+    @property
+    def area(self) -> BaseGeometry:
+        """Where a post's middle may be; a sector does not narrow it."""
+        least_m, most_m = self.within_m
+        return self.body.shape.buffer(most_m).difference(self.body.shape.buffer(max(least_m, WIDTH_M / 2)))
+
+    def standing(self, at_m: Array) -> Array:
+        """(n, 4) places of posts at those of some positions (P, 2) that are within the limits."""
+        distance_m = self.body.to_points_m(at_m)
+        some = (distance_m >= max(self.within_m[0], WIDTH_M / 2)) & (distance_m <= self.within_m[1])
+        if self.zone:
+            some &= self.zone.allows(at_m)
+        x, y = at_m[some].T
+        middle_x, middle_y = self.body.middle_m
+        azimuth = maths.atan2(y - middle_y, x - middle_x)
+        return np.stack([x, y, np.full(len(x), self.ground_m), azimuth], axis=1)
 
 
 @dataclass(frozen=True)
@@ -92,7 +133,7 @@ class PostVisibility:
     @property
     def azimuth_deg(self) -> Array:
         """(A,) counter-clockwise from ahead."""
-        return np.arange(AZIMUTHS, dtype=np.float64) * (360.0 / AZIMUTHS)
+        return self.places.azimuth_deg
 
     @cached_property
     def _first(self) -> NDArray[np.int64]:
@@ -164,6 +205,30 @@ class PostVisibility:
         at = np.where(self.gaps.any(axis=1), at, self.limit_m)
         return np.where(self.known, np.where(np.isinf(self.first_seen_m), 0.0, at), np.nan)
 
+    def is_seen_beside(self, places: Array) -> Flags:
+        """(P,) whether a post along an azimuth next to a place (P, 4), as far out, is seen or out of the limits."""
+        count = len(self.azimuth_deg)
+        turn = np.degrees(places[:, 3]) % 360 * (count / 360)
+        from_middle_m = np.linalg.norm(places[:, :2] - self.places.body.middle_m, axis=1)
+        fine = self.seen | ~self.places.counts
+        found = np.zeros(len(places), np.bool_)
+        for side in (0, 1):
+            row = (turn.astype(np.intp) + side) % count
+            number = np.rint((from_middle_m - self.places.from_middle_m[row, 0]) / STEP_M).astype(np.intp)
+            found |= (number < 0) | (number >= fine.shape[1]) | fine[row, np.clip(number, 0, fine.shape[1] - 1)]
+        return found
+
+    @property
+    def summary(self) -> str:
+        """Where it is seen, in words."""
+        finite = self.first_seen_m[np.isfinite(self.first_seen_m)]
+        everywhere = len(finite) == int(self.known.sum())
+        first = (
+            f"first seen at most {finite.max():.2f} m from the body" if everywhere else "never seen at some azimuths"
+        )
+        beyond = f"longest gap beyond {np.nanmax(self.longest_gap_m):.2f} m, {self.gap_share:.2%} of the area are gaps"
+        return f"{first}, {beyond}, seen without gaps to {np.nanmin(self.seen_to_m):.2f} m"
+
     @property
     def gap_share(self) -> float:
         """The share of gaps in the area beyond the first sight, by azimuth, up to the limit."""
@@ -212,21 +277,22 @@ class PostRequirement:
 
     def judged_by(self, seen: Flags) -> RequirementVerdict:
         """The verdict on a rig that sees some of the posts that count (P,)."""
-        return self.judged_as(self.visibility_by(seen))
+        return self.judged_as(self.visibility_of(seen, self.posts))
 
-    def visibility_by(self, seen: Flags) -> PostVisibility:
-        """Where the post is seen, by flags of those that count (P,)."""
-        flags = np.zeros(self.posts.counts.shape, np.bool_)
-        flags[self.posts.counts] = seen
-        return PostVisibility(self.height_m, self.limit_m, self.posts, flags)
+    def visibility_of(self, seen: Flags, posts: PostPlaces) -> PostVisibility:
+        """Where the post is seen, by flags of those posts that count (P,)."""
+        flags = np.zeros(posts.counts.shape, np.bool_)
+        flags[posts.counts] = seen
+        return PostVisibility(self.height_m, self.limit_m, posts, flags)
 
     def farthest_m(self, seen: Flags) -> Array:
         """(limits,) what each limit is for, at the worst azimuth, if some of the posts that count (P,) are seen."""
-        return np.array([np.nanmax(values_m) for _, _, values_m, _ in self.limits(self.visibility_by(seen))])
+        found = self.limits(self.visibility_of(seen, self.posts))
+        return np.array([np.nanmax(values_m) for _, _, values_m, _ in found])
 
-    def judged_as(self, seen: PostVisibility) -> RequirementVerdict:
-        """The verdict on a rig, by what it sees of the post."""
-        found = [self._verdict(seen, *limit) for limit in self.limits(seen)]
+    def judged_as(self, seen: PostVisibility, along: PostVisibility | None = None) -> RequirementVerdict:
+        """The verdict on where a rig sees posts; `along` the even azimuths, if these are between them."""
+        found = [self._verdict(seen, along, *limit) for limit in self.limits(seen)]
         return min(found, key=lambda one: one.relative_margin)
 
     def limits(self, seen: PostVisibility) -> list[tuple[str, float, Array, Array]]:
@@ -240,25 +306,31 @@ class PostRequirement:
         return out
 
     def _verdict(
-        self, seen: PostVisibility, what: str, limit_m: float, values_m: Array, at_m: Array
+        self,
+        seen: PostVisibility,
+        along: PostVisibility | None,
+        what: str,
+        limit_m: float,
+        values_m: Array,
+        at_m: Array,
     ) -> RequirementVerdict:
         """The verdict by one of the two limits."""
         known = np.where(seen.known, values_m, -1.0)
         worst = int(known.argmax())
         value_m = float(known[worst])
         at = float(at_m[worst])
-        row = self.posts.distance_m[worst]
+        row = seen.places.distance_m[worst]
         number = int(abs(row - at).argmin()) if math.isfinite(at) else len(row) - 1
-        place = self.posts.places[worst, number]
+        place = seen.places.places[worst, number]
         short = np.where(np.isinf(known), 1.0, np.clip((known - limit_m) / self.limit_m, 0, 1))[seen.known]
-        finite = seen.first_seen_m[np.isfinite(seen.first_seen_m)]
-        everywhere = len(finite) == int(seen.known.sum())
-        first = (
-            f"first seen at most {finite.max():.2f} m from the body" if everywhere else "never seen at some azimuths"
-        )
-        beyond = f"longest gap beyond {np.nanmax(seen.longest_gap_m):.2f} m, {seen.gap_share:.2%} of the area are gaps"
-        seen_to = f"seen without gaps to {np.nanmin(seen.seen_to_m):.2f} m"
-        notes = [f"{what} decides; {first}, {beyond}, {seen_to}"]
+        count = int(seen.places.counts.sum())
+        if along is None:
+            note = f"{what} decides; {seen.summary}"
+            shortfall = float(short.mean())
+        else:
+            note = f"{what} decides, in a narrow shadow between the azimuths; along these {along.summary}"
+            shortfall = float(short.mean()) / (len(along.azimuth_deg) + 1)
+            count += int(along.places.counts.sum())
         return RequirementVerdict(
             name=self.name,
             kind="post_height_m",
@@ -267,10 +339,10 @@ class PostRequirement:
             demanded=limit_m,
             reached=value_m,
             at_most=True,
-            shortfall=float(short.mean()) if value_m > limit_m + 1e-9 else 0.0,
+            shortfall=shortfall if value_m > limit_m + 1e-9 else 0.0,
             worst=WorstPlace(float(place[0]), float(place[1]), None, float(row[number])),
-            sampling=Sampling(int(self.posts.counts.sum()), (STEP_M, STEP_M), STEP_M, azimuths_deg=360.0 / AZIMUTHS),
-            notes=tuple(notes),
+            sampling=Sampling(count, (STEP_M, STEP_M), STEP_M, azimuths_deg=360.0 / AZIMUTHS, shadows=True),
+            notes=(note,),
         )
 
 
@@ -283,50 +355,78 @@ class PostJudge:
         """`share`, if given: the posts that count, of which others know, too."""
         self.item = item
         self._share = share or shares([Standing(item.target, item.posts.counted)], item.obstacles)[0]
-
-    @property
-    def work(self) -> int:
-        """The number of places at which rigs are measured, for progress."""
-        return int(self.item.posts.counts.sum()) * (1 + (self.item.robust.drawn if self.item.robust else 0))
+        self._silhouettes = Silhouettes(item.obstacles)
 
     def visibility(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> PostVisibility:
         """Where a rig sees the post, also with sensors lost."""
         item = self.item
         return post_visibility(item.posts, item.height_m, mounts, item.obstacles, item.lost, item.limit_m, on_places)
 
+    @property
+    def work(self) -> int:
+        """The number of places at which rigs are measured, for progress."""
+        return int(self.item.posts.counts.sum()) * (1 + (self.item.robust.drawn if self.item.robust else 0))
+
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
-        item = self.item
-        counts = self._counts(mounts, max(item.lost, 1) + 1)
-        on_places(len(counts))
-        found = [item.judged_by((counts > 0).sum(axis=1) > item.lost)]
-        if item.robust and item.robust.drawn:
-            errors = item.robust.errors(len(mounts))
-            draws = [item.judged_as(self.visibility(misplaced(mounts, one), on_places)) for one in errors]
+        whole, *without = self._verdicts(mounts, on_places)
+        found = [whole]
+        if self.item.robust and self.item.robust.drawn:
+            errors = self.item.robust.errors(len(mounts))
+            draws = [self._verdicts(misplaced(mounts, one), on_places)[0] for one in errors]
             draws.sort(key=lambda one: one.relative_margin, reverse=True)
-            found.append(draws[item.robust.drawn - 1 - item.robust.spare])
+            found.append(draws[self.item.robust.drawn - 1 - self.item.robust.spare])
         worst = min(found, key=lambda one: one.relative_margin)
-        return replace(worst, breaking=self._breaking(counts, mounts))
+        breaking = [mount.name for mount, one in zip(mounts, without, strict=True) if not one.passed]
+        return replace(worst, breaking=tuple(breaking) if len(mounts) > 1 else ())
 
-    def _counts(self, mounts: Sequence[Mount], wanted: int) -> Counts:
-        """(P, sensors) whether each sensor gets a return from the posts that count; below 0: `wanted` others do."""
-        return self._share.lowest(self._share.known.rig(mounts), 1, wanted).counts
+    def _verdicts(self, mounts: Sequence[Mount], on_places: OnPlaces) -> list[RequirementVerdict]:
+        """The verdicts on a rig with sensors lost, and without each of its sensors."""
+        cases = self._seen(self.item.posts, mounts)
+        on_places(len(self.item.posts.counted))
+        out = [self.item.judged_as(one) for one in cases]
+        posts = self._between(cases, mounts)
+        if posts is None:
+            return out
+        between = [self.item.judged_as(one, along) for one, along in zip(self._seen(posts, mounts), cases, strict=True)]
+        return [min(pair, key=lambda one: one.relative_margin) for pair in zip(out, between, strict=True)]
 
-    def _breaking(self, counts: Counts, mounts: Sequence[Mount]) -> tuple[str, ...]:
-        """The sensors whose failure, each alone, breaks the requirement."""
-        if len(mounts) == 1:
-            return ()
-        number = (counts > 0).sum(axis=1)
-        return tuple(
-            mount.name
-            for mount, column in zip(mounts, counts.T, strict=True)
-            if not self.item.judged_by(number > (column > 0)).passed
-        )
+    def _seen(self, posts: PostPlaces, mounts: Sequence[Mount]) -> list[PostVisibility]:
+        """Where a rig sees posts with sensors lost, and without each of its sensors."""
+        return [self.item.visibility_of(seen, posts) for seen in self._cases(posts.counted, mounts)]
+
+    def _cases(self, places: Array, mounts: Sequence[Mount]) -> list[Flags]:
+        """(P,) each: whether a rig sees posts at places (P, 4) with sensors lost, and without each of its sensors."""
+        sees = self._counts(places, mounts, max(self.item.lost, 1) + 1) > 0
+        number = sees.sum(axis=1)
+        return [number > self.item.lost, *(number > column for column in sees.T)]
+
+    def _between(self, cases: Sequence[PostVisibility], mounts: Sequence[Mount]) -> PostPlaces | None:
+        """Posts along azimuths on which a narrow shadow hides one, in any of the cases, and not beside."""
+        core = Core.of(WIDTH_M, self.item.height_m, self.item.posts.ground_m)
+        at_m = self._silhouettes.places(centres_of(mounts), core, self.item.posts.area, RUN_M)
+        places = self.item.posts.standing(at_m)
+        hidden = np.zeros(len(places), np.bool_)
+        for seen, along in zip(self._cases(places, mounts), cases, strict=True):
+            hidden |= ~seen & along.is_seen_beside(places)
+        hidden_deg = np.degrees(places[hidden, 3])[:, None]
+        near_deg = BETWEEN_DEG * (np.rint(hidden_deg / BETWEEN_DEG) + np.arange(-BETWEEN_REACH, BETWEEN_REACH + 1))
+        azimuth_deg = np.unique(np.round(np.concatenate([hidden_deg, near_deg], axis=1) % 360, BETWEEN_DIGITS))
+        if len(azimuth_deg) > BETWEEN_MOST:
+            azimuth_deg = azimuth_deg[np.linspace(0, len(azimuth_deg) - 1, BETWEEN_MOST).astype(np.intp)]
+        posts = self.item.posts.along(azimuth_deg)
+        return posts if posts.counts.any() else None
+
+    def _counts(self, places: Array, mounts: Sequence[Mount], wanted: int) -> Counts:
+        """(P, sensors) whether each sensor gets a return from posts at places; below 0: `wanted` others do."""
+        if places is self.item.posts.counted:  # of which what is known is kept
+            return self._share.lowest(self._share.known.rig(mounts), 1, wanted).counts
+        return lowest_at(places, self.item.target, mounts, self.item.obstacles, 1, wanted).counts
 
     def margins(self, mounts: Sequence[Mount]) -> tuple[MountMargins, ...]:
         """What single failures and mounts that are a little off leave, by each of the two limits."""
         item = self.item
-        sees = self._counts(mounts, len(mounts) + 1) > 0
+        sees = self._counts(item.posts.counted, mounts, len(mounts) + 1) > 0
         number = sees.sum(axis=1)
         whole = item.farthest_m(number > item.lost)
         without = np.full((len(mounts), len(whole)), np.nan)
@@ -350,7 +450,7 @@ class PostJudge:
                 without=without[:, k],
                 off=off[..., k],
             )
-            for k, (what, limit_m, *_) in enumerate(item.limits(item.visibility_by(number > item.lost)))
+            for k, (what, limit_m, *_) in enumerate(item.limits(item.visibility_of(number > item.lost, item.posts)))
         )
 
     def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:

@@ -34,6 +34,7 @@ class Sampling:
     finest_m: float  # spacing around the lowest counts; that of the grid where nothing is refined
     finest_deg: float | None = None  # of headings there
     azimuths_deg: float | None = None  # between lines from the vehicle along which the places lie, if they do
+    shadows: bool = False  # whether places in the middle of the bodies' narrow shadows are among them
 
     @property
     def text(self) -> str:
@@ -42,10 +43,11 @@ class Sampling:
         base = f"{near} m apart near the body, {far} m farther out" if near != far else f"{near} m apart"
         if self.azimuths_deg:
             base += f" along azimuths {self.azimuths_deg:.3g}° apart"
+        shadows = ", and in the middle of narrow shadows" if self.shadows else ""
         if self.base_m == (self.finest_m, self.finest_m):
-            return f"{self.places:,} places, {base}; nothing is known of what lies between"
+            return f"{self.places:,} places, {base}{shadows}; nothing is known of what lies between"
         turn = "" if not self.finest_deg else f" and {self.finest_deg:.3g}°"
-        what = f"{self.places:,} places, {base}, {self.finest_m:.3g} m{turn} around the lowest counts"
+        what = f"{self.places:,} places, {base}, {self.finest_m:.3g} m{turn} around the lowest counts{shadows}"
         return f"{what}; between them lower counts cannot be excluded"
 
     def to_dict(self) -> dict[str, Any]:

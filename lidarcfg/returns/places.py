@@ -8,8 +8,10 @@ from itertools import product
 from typing import Annotated
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
+from shapely.geometry.base import BaseGeometry
 
 from lidarcfg import maths
 from lidarcfg.config.models import validation_error
@@ -203,8 +205,7 @@ class Stand:
             at = np.concatenate(
                 [near[body.to_points_m(near) <= reach_m], far[body.to_points_m(far) > reach_m]],
             )
-        places = self._at_headings(at)
-        return np.ascontiguousarray(places[self.holds(places)])
+        return self.standing(at)
 
     def _lattice(self, low: Array, high: Array, step_m: float) -> Array:
         """(n, 2) positions of a grid from low to high; it goes through the box's middle, or the vehicle's origin."""
@@ -228,11 +229,24 @@ class Stand:
         reach_m = self.zone.within_m[1] + self.footprint.radius_m
         return low - reach_m, high + reach_m
 
-    def _at_headings(self, at_m: Array) -> Array:
-        """(P · H, 4) places at positions (P, 2) and at all headings."""
+    def standing(self, at_m: Array) -> Array:
+        """(n, 4) the places at positions (P, 2), at all headings, that are in the zone."""
         shape = len(at_m), len(self.headings_rad)
         columns = at_m[:, :1], at_m[:, 1:], self.ground_m, self.headings_rad
-        return np.stack([np.broadcast_to(column, shape).ravel() for column in columns], axis=1)
+        places = np.stack([np.broadcast_to(column, shape).ravel() for column in columns], axis=1)
+        return np.ascontiguousarray(places[self.holds(places)])
+
+    @cached_property
+    def area(self) -> BaseGeometry:
+        """Where the object's middle may be, at any heading; a sector does not narrow it."""
+        zone = self.zone
+        if zone.box_m is not None:
+            return shapely.box(*zone.box_m[0], *zone.box_m[1])
+        assert zone.body is not None
+        assert zone.within_m is not None
+        least_m, most_m = zone.within_m
+        reach = zone.body.shape.buffer(most_m + self.footprint.radius_m)
+        return reach.difference(zone.body.shape.buffer(least_m + self.width_m / 2))
 
     @property
     def first_steps(self) -> tuple[float, float]:

@@ -237,7 +237,9 @@ def test_the_verdict_says_how_far_apart_posts_and_points_are(found):
     step_m = np.linalg.norm(at[:, 1] - at[:, 0], axis=1)
     turns_deg = np.degrees(np.diff(np.arctan2(*(at[:, 1] - at[:, 0]).T[::-1]))) % 360
     apart = f"{step_m.mean():.3g} m apart along azimuths {turns_deg.mean():.3g}° apart"
-    assert texts[0].endswith(f" places, {apart}; nothing is known of what lies between")
+    assert texts[0].endswith(
+        f" places, {apart}, and in the middle of narrow shadows; nothing is known of what lies between"
+    )
     x = np.unique(shadow.points_m[:, 0].round(6))
     assert texts[1].endswith(f" places, {np.diff(x).min():.3g} m apart; nothing is known of what lies between")
 
