@@ -204,29 +204,52 @@ class ObjectJudge:
         """What single failures and mounts that are a little off leave, in the place that decides."""
         item = self.item
         cap = self.first_cap
-        base = self.measured(mounts, cap)
+        tried = self.refined(mounts)
+        counted = tried.base if item.at_least < 1 else tried.every
         without = np.full(len(mounts), np.nan)
         if len(mounts) > 1:
-            without[:] = [self._number(values).min() for values in self._without_each(base, mounts, cap)]
-        lowest = np.ascontiguousarray(base.places[self._deciding(base.places, base.values)])
+            without[:] = [
+                self._least_without(n, values, counted, mounts)
+                for n, values in enumerate(self._without_each(counted, mounts, cap))
+            ]
+        lowest = np.ascontiguousarray(counted.places[self._deciding(counted.places, counted.values)])
         off = np.full((len(mounts), 6), np.inf)
         for n, axis, moved in with_one_off(mounts):
             off[n, axis] = min(off[n, axis], self.measured_at(lowest, moved, cap).values.min())
         clusters = item.cluster_m is not None
         return MountMargins(
-            what=f"Returns{' of one cluster' if clusters else ''} in the place that decides",
+            what=f"Returns{' of one cluster' if clusters else ''} at the verdict's places, in the one that decides",
             unit="returns",
             demanded=item.returns,
             at_most=False,
-            whole=int(self._number(base.values).min()),
+            whole=self._worst(tried)[1],
             without=without,
             off=off,
-            where_lost="where the base grid's places then have the fewest returns"
-            if clusters
-            else "over the base grid",
-            where_off="over the grid's lowest places",
+            where_lost="where there are then the fewest returns" if clusters else "",
+            where_off="where the rig as it is has the fewest returns",
             cap=cap,
         )
+
+    def _least_without(self, n: int, values: Counts, counted: Measured, mounts: Sequence[Mount]) -> int:
+        """What is reached in the place that decides without a mount, of `values` that are exact on the base grid.
+
+        At refined places, whose counts end at lower caps, they are lower bounds: those that are lower are counted anew.
+        """
+        item = self.item
+        if item.at_least < 1 or item.cluster_m is not None:
+            return int(self._number(values).min())
+        least = int(values[: len(self.places)].min())
+        lower = np.flatnonzero(values < least)  # refined ones alone
+        if len(lower):
+            places = np.ascontiguousarray(counted.places[lower])
+            left = [mount for other, mount in enumerate(mounts) if other != n]
+            found = lowest_at(places, item.target, left, self._obstacles, self.first_cap, item.sensors or 1)
+            least = min(least, int(reached(found.counts, 0, item.sensors).min()))
+        return least
+
+    def refined(self, mounts: Sequence[Mount]) -> Refined:
+        """The measurements that a verdict on a rig is of; of one just judged, as kept."""
+        return self._tried(mounts, *self._base(mounts))
 
     def missed(self, mounts: Sequence[Mount]) -> Array:
         """(n, 4) places of the base grid at which a rig fails that passes where trials are judged, the worst first.
