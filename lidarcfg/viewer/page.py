@@ -16,6 +16,7 @@ from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.placement.evaluation import WORST
 from lidarcfg.placement.study import Study
+from lidarcfg.report.misses import COLOURS as MISSED
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.viewer import colours
@@ -25,6 +26,7 @@ from lidarcfg.viewer.colours import COLOUR_BY, By, colour, sensor_colours, span
 from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.evaluation import evaluations
 from lidarcfg.viewer.evaluation import verdict as verdict_on
+from lidarcfg.viewer.missed import MissCounter
 from lidarcfg.viewer.mounting import has_its_sensors, mirrored_pairs, surface_mounts
 from lidarcfg.viewer.still import GROUND_M
 from lidarcfg.viewer.timeline import Timeline, parts, timeline, tracks
@@ -69,6 +71,7 @@ def page_of(
         arrays["tracks"] = np.ascontiguousarray(tracks(contents, line), "<f8")
     shown = evaluations(contents.study, contents.rigs[0], WORST, not served) if contents.study else [None, None]
     verdict = None if served else _verdict(contents, shown[0])
+    misses = None if served else _misses(contents)
     about = {
         "version": __version__,
         "by": by,
@@ -89,6 +92,7 @@ def page_of(
             "base_area": colours.BASE_AREA,
             "base": colours.BASE,
             "zone": colours.ZONE,
+            "missed": list(MISSED),
         },
         "sensors": [{"name": name, "colour": code} for name, code in sensor_colours(contents).items()],
         "points": points,
@@ -98,6 +102,7 @@ def page_of(
         "mirrored": mirrored_pairs(contents.study, contents.rigs[0]) if contents.study else [],
         "on_surface": surface_mounts(contents.study, contents.rigs[0]) if contents.study else [],
         "verdict": verdict,
+        "misses": misses,
         "evaluation": shown[0],
         "transparent": shown[1],
         "vehicle": contents.vehicle and {"mesh": packed_mesh(*contents.vehicle.scene.mesh())},
@@ -116,6 +121,16 @@ def _verdict(contents: Contents, shown: dict[str, Any] | None) -> dict[str, Any]
         return verdict_on(Verifier(study.requirements), contents.rigs[0])
     except ConfigError as error:  # of sensors whose firing or price is not known
         shown["violations"].append(str(error))
+        return None
+
+
+def _misses(contents: Contents) -> dict[str, Any] | None:
+    """What the first rig misses; None without a vehicle, or where sensors lack facts."""
+    if contents.study is None or contents.study.misses is None:
+        return None
+    try:
+        return MissCounter(contents.study.misses).count(contents.rigs[0])
+    except ConfigError:
         return None
 
 
@@ -284,6 +299,7 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
             {"name": zone.name, "weight": zone.weight, "min_m": zone.box_m[0].tolist(), "max_m": zone.box_m[1].tolist()}
             for zone in study.zones
         ],
+        "misses": study.misses is not None,
         "detects": len(study.detection) > 0,
         "requirements": [item.name for item in study.requirements.items] if study.requirements else [],
     }

@@ -20,6 +20,7 @@ from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig, rig_text
 from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.evaluation import evaluation, rates, verdict, with_poses
+from lidarcfg.viewer.missed import MissCounter
 from lidarcfg.viewer.mounting import slide
 from lidarcfg.viewer.page import ASSETS, MODULES, Page, html
 
@@ -47,8 +48,11 @@ class Server(ThreadingHTTPServer):
         self.counting = threading.Lock()
         self.saving = threading.Lock()
         self.verifying = threading.Lock()
+        self.missing = threading.Lock()
         required = contents.study and contents.study.requirements
         self.verifier = Verifier(required) if required else None  # keeps what is known of sensors that do not move
+        missed = contents.study and contents.study.misses
+        self.counter = MissCounter(missed) if missed else None
         about = page.about | {"live": True, "token": self.token, "file": contents.source and str(contents.source.path)}
         self.texts = {
             "/": ("text/html; charset=utf-8", html(None).encode()),
@@ -134,6 +138,9 @@ class _Handler(BaseHTTPRequestHandler):
         if self.path == "/rates" and study:
             with server.counting:
                 return _json(rates(study, rig, _flag(request, "transparent")))
+        if self.path == "/misses" and server.counter:
+            with server.missing:
+                return _json(server.counter.count(rig))
         if self.path == "/verify" and server.verifier:
             with server.verifying:
                 return _json(verdict(server.verifier, rig))

@@ -35,7 +35,7 @@ def settled(driver):
     """Wait until the page has drawn everything and has no request open."""
     quiet = (
         "const v = window.lidarcfg; return Boolean(v && v.stage.settledAt === v.stage.frames && !v.stage.waiting "
-        "&& ![v.evaluator, v.rates, v.verifier, v.handles?.slider].some((one) => one?.busy || one?.timer))"
+        "&& ![v.evaluator, v.rates, v.verifier, v.missing, v.handles?.slider].some((one) => one?.busy || one?.timer))"
     )
     end = time.monotonic() + 60
     while not driver.execute_script(quiet):

@@ -63,6 +63,22 @@ export class Changing {
   }
 }
 
+// What is missed on the ground, in squares of unlit colours.
+export class Missed {
+  constructor() {
+    this.object = new Group();
+  }
+
+  set(squares) {
+    emptied(this.object);
+    for (const { colour, mesh } of squares) {
+      const made = body(mesh, "black", 0.75);
+      made.material.emissive.set(colour);
+      this.object.add(made);
+    }
+  }
+}
+
 function emptied(group) {
   for (const mesh of group.children) {
     mesh.geometry.dispose();

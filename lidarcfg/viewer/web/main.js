@@ -2,12 +2,12 @@
 
 import { readArrays } from "lidarcfg/cloud";
 import { readAbout } from "lidarcfg/data";
-import { Changing, Vehicle, Worst, bounds, region, scenery, zones } from "lidarcfg/bodies";
+import { Changing, Missed, Vehicle, Worst, bounds, region, scenery, zones } from "lidarcfg/bodies";
 import { grid, rings } from "lidarcfg/guides";
 import { Evaluator, Handles } from "lidarcfg/handles";
 import { listenToKeys } from "lidarcfg/keys";
 import { Measure } from "lidarcfg/measure";
-import { EvaluationSection, VerdictSection, check, colourSection, el, push, section, sensorSection, slide } from "lidarcfg/panel";
+import { EvaluationSection, MissesSection, VerdictSection, check, colourSection, el, push, section, sensorSection, slide } from "lidarcfg/panel";
 import { PointsCloud } from "lidarcfg/points";
 import { RasterCloud } from "lidarcfg/raster";
 import { RigSection } from "lidarcfg/rig";
@@ -130,7 +130,7 @@ function bodyControls(view, panel, mounts) {
   const toggled = (id, text, object, parent = stage.vehicle, on = true) => {
     object.visible = on;
     parent.add(object);
-    if (object.isGroup && id !== "rings") stage.bodies.push(object);
+    if (object.isGroup && !["rings", "missed"].includes(id)) stage.bodies.push(object);
     rows.push(check(id, text, on, (shown) => {
       object.visible = shown;
       stage.redraw();
@@ -145,6 +145,10 @@ function bodyControls(view, panel, mounts) {
       toggled("bounds", "bounds of the sensors", limits);
     }
     if (study.zones.length) toggled("zones", "zones", zones(study, stage, colours));
+    if (study.misses && (about.live || about.misses)) {
+      view.missed = new Missed();
+      toggled("missed", "what is missed on the ground", view.missed.object, stage.vehicle, !view.cloud);
+    }
     view.worst = new Worst(stage, colours);
     toggled("bodies", "worst subspaces", view.worst.object);
     if (about.evaluation.blind) {
@@ -181,6 +185,11 @@ function studyControls(view, panel) {
     panel.append(view.verdict.element);
     if (about.verdict) view.verdict.set(about.verdict);
   }
+  if (view.missed) {
+    view.misses = new MissesSection(about);
+    panel.append(view.misses.element);
+    if (about.misses) showMisses(view, about.misses);
+  }
   view.figures = new EvaluationSection(about, (count) => show(view, view.evaluation, count));
   panel.append(view.figures.element);
   show(view, about.evaluation, Math.min(about.worst, about.evaluation.worst.length));
@@ -206,6 +215,12 @@ function show(view, evaluation, count) {
   view.stage.redraw();
 }
 
+function showMisses(view, found) {
+  view.misses.set(found);
+  view.missed.set(found.squares);
+  view.stage.redraw();
+}
+
 function rigControls(view, panel, mounts) {
   const { stage, about } = view;
   const moved = () => {
@@ -214,6 +229,7 @@ function rigControls(view, panel, mounts) {
     view.rates?.forget();
     view.verifier?.forget();
     view.evaluator?.ask();
+    view.missing?.ask();
   };
   view.handles = new Handles(stage, mounts, about, moved, () => view.rig.count(), ({ message }) => view.say(message));
   if (about.study) evaluators(view);
@@ -221,7 +237,7 @@ function rigControls(view, panel, mounts) {
   panel.append(view.rig.element);
 }
 
-// Max VSR follows each move; detection rates and the verdict take longer and are asked for in pauses.
+// Max VSR and misses follow each move; detection rates and the verdict take longer and are asked for in pauses.
 function evaluators(view) {
   const fail = (error) => {
     view.figures.violations.textContent = error.message;
@@ -239,6 +255,10 @@ function evaluators(view) {
     view.verifier?.askSoon();
   }, fail);
   if (detects) view.rates.ask();
+  if (view.misses) {
+    view.missing = new Evaluator("misses", () => ({ poses: view.handles.poses }), (found) => showMisses(view, found), (error) => view.misses.fail(error));
+    view.missing.ask();
+  }
   if (!view.verdict) return;
   view.verifier = new Evaluator("verify", () => ({ poses: view.handles.poses }), (found) => view.verdict.set(found), (error) => view.verdict.fail(error));
   view.verifier.ask();

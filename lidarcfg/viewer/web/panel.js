@@ -132,6 +132,32 @@ export class VerdictSection {
   }
 }
 
+// How often the rig misses each object, and what the colours on the ground mean.
+export class MissesSection {
+  constructor(about) {
+    this.text = el("div", { className: "big", id: "misses" });
+    this.rest = el("div", { className: "dim" });
+    this.rows = el("tbody", { id: "missed-objects" });
+    this.error = el("div", { className: "bad" });
+    const bar = el("div", { className: "bar", style: { background: `linear-gradient(to right, ${about.colours.missed.join()})` } });
+    const shares = ["0", "6", "25", "56", "100 %"]; // at even steps of their square root
+    const ticks = el("div", { className: "ticks" }, ...shares.map((textContent) => el("span", { textContent })));
+    this.element = section("What is missed", this.text, el("table", {}, headed("object", "missed"), this.rows), bar, ticks, this.rest, this.error);
+  }
+
+  set({ share, returns, objects, places, places_of_reports }) {
+    this.error.textContent = "";
+    this.text.textContent = `misses ${number(100 * share, 2)} %`;
+    this.text.dataset.value = share;
+    this.rows.replaceChildren(...objects.map((one) => row(one.name, `${number(100 * one.share, 2)} %`)));
+    this.rest.textContent = `of places, with fewer than ${returns} returns; from ${number(places)} places of each object, where reports count at ${number(places_of_reports)}. Squares on the ground: the share of objects missed there; none: nothing is.`;
+  }
+
+  fail({ message }) {
+    this.error.textContent = message;
+  }
+}
+
 // Max VSR, what no sensor sees, how often objects are detected, and the worst subspaces in a table.
 export class EvaluationSection {
   constructor(about, onCount) {
