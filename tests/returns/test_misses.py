@@ -156,7 +156,7 @@ def outline(path):
     """The union of a mesh's triangles from above, holes filled, by shapely."""
     vertices, triangles = read_mesh(path)
     flat = shapely.polygons(vertices[triangles][:, :, :2])
-    whole = shapely.unary_union([one.buffer(1e-6) for one in flat if one.area > 1e-9])
+    whole = shapely.union_all(shapely.buffer(flat[shapely.area(flat) > 1e-9], 1e-6, quad_segs=1))
     return shapely.unary_union([shapely.Polygon(part.exterior) for part in shapely.get_parts(whole)])
 
 
