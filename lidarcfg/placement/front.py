@@ -14,6 +14,7 @@ search ends where an uninterrupted one does.
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,19 +23,23 @@ from lidarcfg import maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.combinations import Combination, Example, combinations, options, starts
+from lidarcfg.placement.plain_rigs import plain_points
 from lidarcfg.placement.points_first import PointsFirst
-from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun
+from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.cma_es import WarmStart
 from lidarcfg.placement.solvers.search import NO_COST, FixedPoint, Search
 from lidarcfg.placement.starts import starting_options
 from lidarcfg.placement.study import Study
+from lidarcfg.placement.study_evaluator import StudyEvaluator
+from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Rig
 
 PROGRESS = 0.4
 NEGLECT = 4.0
 PART = 200  # evaluations of a part, at least
 GROWTH = 0.25  # of a part, by the evaluations so far
+FRONT_PLACES = 512  # of each object, at which misses are counted
 TRANSFER = 150  # evaluations by which a combination learns from the others
 LATER = 16  # the growth of its own search after which it does so again
 
@@ -132,6 +137,22 @@ def front(
     return search.result(interrupted)
 
 
+class FrontSearch(SearchRun):
+    """A search of one combination. Misses are counted at as many places as those of all others."""
+
+    def _evaluator(
+        self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
+    ) -> AbstractContextManager[TrialEvaluator]:
+        return StudyEvaluator(self.study, threads, skip, on_evaluations, FRONT_PLACES)
+
+    def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
+        """As SearchRun; misses are those at fresh places."""
+        found = super().placement(interrupted, verdict)
+        if self.study.objective.misses is None:
+            return found
+        return replace(found, objective=self.study.cost(self.study.poses(self.best_x[None])[0]))
+
+
 class CandidateSearch:
     """A combination and its searches: the ordinary one first, then those that learn from others."""
 
@@ -142,6 +163,8 @@ class CandidateSearch:
         points = logs[0].points if logs else None
         if points is not None and points.shape[1] != study.free.sum():
             raise ConfigError(f"{combination.name}: its log begins with points of another study")
+        if points is None and study.objective.misses:
+            points = plain_points(study)
         if not study.free.any():
             search: Search = FixedPoint()
         elif points is None:
@@ -152,7 +175,7 @@ class CandidateSearch:
         self._transfer: WarmStart | None = None  # the last one's search
 
     def _run(self, search: Search) -> SearchRun:
-        return SearchRun(self.combination.study, search, self._logs.pop(0) if self._logs else None)
+        return FrontSearch(self.combination.study, search, self._logs.pop(0) if self._logs else None)
 
     @property
     def own(self) -> SearchRun:
@@ -338,8 +361,9 @@ class FrontRun:
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
         order = sorted(range(len(on_front)), key=lambda i: (self._prices[i], objectives[i]))
         ones = self.searches
+        points = [Point(ones[i].combination, ones[i].placement(interrupted)) for i in order if on_front[i]]
         return Front(
-            points=tuple(Point(ones[i].combination, ones[i].placement(interrupted)) for i in order if on_front[i]),
+            points=tuple(_best_for_their_price(points)),
             candidates=tuple(
                 Candidate(ones[i].combination, objectives[i], ones[i].evaluations, on_front[i]) for i in order
             ),
@@ -348,6 +372,13 @@ class FrontRun:
             seconds=self.seconds,
             interrupted=interrupted,
         )
+
+
+def _best_for_their_price(points: Sequence[Point]) -> list[Point]:
+    """Those points that no cheaper one equals, which at fresh places it may."""
+    prices = [one.combination.price for one in points]
+    kept = on_front(prices, [one.placement.objective for one in points])
+    return [one for one, is_kept in zip(points, kept, strict=True) if is_kept]
 
 
 def required_growth(prices: Array, objectives: Array) -> Array:
