@@ -2,9 +2,10 @@
 
 Only the base grid's places count in trials; of a large grid, at first some that are spread over it. So the first rig
 that meets all of these is verified at once, at all places of the grid and at refined ones. Where it fails, the worst of
-these join the set, and the search starts anew. Nothing else is minimised before a rig is verified. Then the objective
-is, and the best rig is verified from time to time and at the end. A log says what was
-verified when, so a search that is resumed does the same.
+these join the set, and the search starts anew. A requirement that the best rig misses at many places is searched at
+ever more drawn places as well, lest rigs suit the grid alone. Nothing else is minimised before a rig is verified. Then
+the objective is, and the best rig is verified from time to time and at the end. A log says what was verified and drawn
+when, so a search that is resumed does the same.
 
 The shortfall of a rig is the sum of those of its requirements; that of one that violates constraints is INFEASIBLE or
 more, which no sum reaches. With neither an objective nor a vehicle nothing but requirements counts, and a search ends
@@ -26,7 +27,7 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.placement.achievable import unachievable
 from lidarcfg.placement.evaluator import Index
-from lidarcfg.placement.misses_search import MissesRun
+from lidarcfg.placement.misses_search import DOUBLED_EVERY, MissesRun
 from lidarcfg.placement.points_first import PointsFirst
 from lidarcfg.placement.search_run import (
     Budget,
@@ -51,7 +52,7 @@ from lidarcfg.requirements.shortfalls import Draws, Shortfalls
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.known import KnownReturns
-from lidarcfg.returns.misses import SEARCH_PLACES
+from lidarcfg.returns.misses import SEARCH_PLACES, SEED
 from lidarcfg.returns.places import FINEST_M, FINEST_RAD
 from lidarcfg.sensors.rig import Mount
 
@@ -63,6 +64,9 @@ LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
 SLICE_MOST = 1000
 LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
 FIRST_LEFT = 0.1  # as long as it is not known how long that takes
+MANY = 0.05  # of the places of trials: a requirement that is missed at more is searched at drawn places, too
+DRAWN_FIRST = 256  # places
+DRAWN_MOST = 4096
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
 
@@ -207,6 +211,8 @@ class RequirementsRun(MissesRun):
         self._more_places = dict(places or {})
         self._minimises = False  # what rigs that meet all are compared by, besides; not before one is verified
         self._next_check = 0  # evaluations
+        self._next_draw = DOUBLED_EVERY * len(self.best_x)
+        self._draws: dict[int, int] = {}  # by requirement, how many places were drawn
         self._interval = CHECK_EVERY
         self._verified: Verified | None = None  # the best of those
         self._judged: tuple[Array, Verdict] | None = None  # the last rig that was verified at all places
@@ -303,9 +309,12 @@ class RequirementsRun(MissesRun):
     def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials, and verify the best rig where that is due. Returns as SearchRun.step."""
         told = super().step(evaluator, budget)
+        draws = not self._meets and self.evaluations >= self._next_draw
+        if draws:
+            self._next_draw = self.evaluations + DOUBLED_EVERY * len(self.best_x)
         check = self._recorded.get(self._count)
-        if check is None and not self.is_replaying and self._is_due(budget):
-            check = self._checked()
+        if check is None and not self.is_replaying:
+            check = self._checked() if self._is_due(budget) else self._drawn() if draws else None
         if check:
             assert isinstance(evaluator, RequirementsEvaluator)
             self._go_on(check, evaluator)
@@ -323,6 +332,21 @@ class RequirementsRun(MissesRun):
         if not self._minimises:
             return True
         return self.evaluations >= self._next_check and self._has_time(budget)
+
+    def _drawn(self) -> Check | None:
+        """More drawn places for requirements that the best rig misses at many; None if there are none."""
+        found = {}
+        mounts = self._mounts(self.best_x)
+        for number, judge in enumerate(self._verifier.judges):
+            known = self._draws.get(number, 0)
+            if not isinstance(judge, ObjectJudge) or judge.item.at_least < 1 or known >= DRAWN_MOST:
+                continue
+            item = judge.item
+            values = judge.measured_at(item.trial_places, mounts, item.first_cap).values
+            if float(np.mean(values < item.returns)) > MANY:
+                places = item.stand.drawn(2 * known or DRAWN_FIRST, [SEED, number], at_any_heading=False)
+                found[number] = places[known:]
+        return Check(self._count, False, found, drawn=True) if found else None
 
     def verdict_on(self, x: Array) -> Verdict:
         """The verdict on the rig at a point (free coordinates,), with refined places."""
@@ -359,6 +383,8 @@ class RequirementsRun(MissesRun):
             return
         self._schedule(CHECK_EVERY)
         for number, places in check.places.items():
+            if check.drawn:
+                self._draws[number] = self._draws.get(number, 0) + len(places)
             known = self._more_places.get(number)
             self._more_places[number] = places if known is None else np.concatenate([known, places])
         self._restart(evaluator)

@@ -49,11 +49,12 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Check:
-    """What verifying the best rig of a search found, once so many costs had been told."""
+    """What verifying the best rig of a search found, or drawing places, once so many costs had been told."""
 
     told: int
     passed: bool
-    places: Mapping[int, Array]  # by requirement, those (n, 4) at which it failed and that count from then on
+    places: Mapping[int, Array]  # by requirement, those (n, 4) that count from then on
+    drawn: bool = False  # whether they were drawn, not verified; else the rig failed there
 
 
 @dataclass(frozen=True)

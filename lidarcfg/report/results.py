@@ -263,6 +263,7 @@ LOG = {  # kind and dimensions of the arrays of search.npz
     "asked": ("U", 0),
 }
 PAIR = 2  # a cost: shortfall and objective
+CHECK = 3  # how many costs were told, whether the rig passed, whether places were drawn
 PLACE = 6  # the number of a check, that of a requirement, and x, y, z and heading
 
 
@@ -305,14 +306,14 @@ def log_arrays(log: Log) -> dict[str, Any]:
         "seconds": log.seconds,
         "points": np.empty((0, 0)) if log.points is None else log.points,
         "given": log.given,
-        "checked": np.array([(one.told, one.passed) for one in log.checks], np.int64).reshape(-1, 2),
+        "checked": np.array([(one.told, one.passed, one.drawn) for one in log.checks], np.int64).reshape(-1, CHECK),
         "places": np.concatenate([np.empty((0, PLACE)), *places]),
     }
 
 
 def log_of(arrays: Mapping[str, Any]) -> Log | None:
     """The log in the arrays of search.npz; None if they are none."""
-    columns = {"cost": PAIR, "checked": 2, "places": PLACE}
+    columns = {"cost": PAIR, "checked": CHECK, "places": PLACE}
     if {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()} != LOG:
         return None
     if any(arrays[key].shape[1] != count for key, count in columns.items()):
@@ -325,10 +326,10 @@ def log_of(arrays: Mapping[str, Any]) -> Log | None:
     if not np.isfinite(places).all() or not np.isin(places[:, 0], range(len(checked))).all():
         return None
     checks = []
-    for n, (told, passed) in enumerate(checked.tolist()):
+    for n, (told, passed, drawn) in enumerate(checked.tolist()):
         own = places[places[:, 0] == n]
         of = {int(number): own[own[:, 1] == number, 2:] for number in dict.fromkeys(own[:, 1].tolist())}
-        checks.append(Check(told, bool(passed), of))
+        checks.append(Check(told, bool(passed), of, bool(drawn)))
     begun = points if points.size else None
     return Log(cost.astype(np.float64), float(seconds), begun, int(given), tuple(checks))
 

@@ -35,8 +35,6 @@ SEARCH_PLACES = 64  # of each object, at first in a search
 FRESH_PLACES = 4096  # of each object, for what is reported
 SEARCH, FRESH = range(2)  # what places are for: no place of one is one of the other
 SEED = 20180913  # of the draws; combined with what they are for and the object's name
-DRAWN_AT_A_TIME = 1 << 11  # a power of 2, as Sobol's sequence asks for
-TRIES_MAX = 1 << 22
 Z_95 = 1.959963984540054  # of the normal distribution, for intervals of 95 %
 
 Interval = tuple[float, float]
@@ -62,32 +60,11 @@ class MissedObject:
     stand: Stand
 
     def places(self, count: int, purpose: int) -> Array:
-        """(count, 4) places for a search or fresh ones; those of a lower count are the first of these.
-
-        Scrambled points of Sobol's sequence, of which those that are not in the zone are left out. Raises ConfigError
-        where hardly any is in it.
-        """
-        from scipy.stats import qmc  # takes half a second to load
-
-        stand = self.stand
-        body = stand.zone.body
-        assert body
-        assert stand.zone.within_m
-        reach_m = stand.zone.within_m[1] + stand.footprint.radius_m
-        low = np.append(body.bounds_m[0] - reach_m, 0.0)
-        high = np.append(body.bounds_m[1] + reach_m, 2 * math.pi)
-        rng = np.random.default_rng([SEED, purpose, zlib.crc32(self.name.encode())])
-        sobol = qmc.Sobol(3, rng=rng)
-        found: list[Array] = []
-        missing = count
-        for _ in range(TRIES_MAX // DRAWN_AT_A_TIME):
-            x, y, heading = (low + sobol.random(DRAWN_AT_A_TIME) * (high - low)).T
-            places = np.stack([x, y, np.full_like(x, stand.ground_m), heading], axis=1)
-            found.append(places[stand.holds(places)][:missing])
-            missing -= len(found[-1])
-            if not missing:
-                return np.concatenate(found)
-        raise ConfigError(f"{self.name}: hardly a place in the zone is free; widen within_m or sector_deg")
+        """(count, 4) places for a search or fresh ones; see Stand.drawn. Raises ConfigError as that."""
+        try:
+            return self.stand.drawn(count, [SEED, purpose, zlib.crc32(self.name.encode())], at_any_heading=True)
+        except ConfigError as error:
+            raise error.of(self.name) from None
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The places at which an object must be seen: a base grid in a zone, and a finer one around some of its places."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -32,6 +32,8 @@ PLACE_BYTES = 300  # of memory, while they are found
 KEYS_PER_UNIT = 1e6  # metres and radians, by which places are told apart
 # Multiples of the spacing along x and y whose sums, modulo 1, are spread evenly: the R2 sequence (Roberts 2018).
 SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
+DRAWN_AT_A_TIME = 1 << 11  # a power of 2, as Sobol's sequence asks for
+TRIES_MAX = 1 << 22
 FIT_M = 1e-9  # by which an object may reach over the zone's side, for rounding
 
 Flags = NDArray[np.bool_]
@@ -206,6 +208,31 @@ class Stand:
                 [near[body.to_points_m(near) <= reach_m], far[body.to_points_m(far) > reach_m]],
             )
         return self.standing(at)
+
+    def drawn(self, count: int, seed: Sequence[int], at_any_heading: bool) -> Array:
+        """(count, 4) places drawn uniformly in area, at any heading or at one of its own; fewer are the first of these.
+
+        Scrambled points of Sobol's sequence, of which those that are not in the zone are left out. Raises ConfigError
+        where hardly any is in it.
+        """
+        from scipy.stats import qmc  # takes half a second to load
+
+        low, high = self._bounds_m()
+        sobol = qmc.Sobol(3, rng=np.random.default_rng(list(seed)))
+        found: list[Array] = []
+        missing = count
+        for _ in range(TRIES_MAX // DRAWN_AT_A_TIME):
+            unit = sobol.random(DRAWN_AT_A_TIME)
+            x, y = (low + unit[:, :2] * (high - low)).T
+            heading = 2 * math.pi * unit[:, 2]
+            if not at_any_heading:
+                heading = self.headings_rad[(unit[:, 2] * len(self.headings_rad)).astype(np.intp)]
+            places = np.stack([x, y, np.full_like(x, self.ground_m), heading], axis=1)
+            found.append(places[self.holds(places)][:missing])
+            missing -= len(found[-1])
+            if not missing:
+                return np.concatenate(found)
+        raise ConfigError("hardly a place in the zone is free; widen it")
 
     def _lattice(self, low: Array, high: Array, step_m: float) -> Array:
         """(n, 2) positions of a grid from low to high; it goes through the box's middle, or the vehicle's origin."""
