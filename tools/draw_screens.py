@@ -1,7 +1,7 @@
-"""Photograph reports and the page in a browser: docs/report.png, verdict.png, requirements.png, view.png and
+"""Photograph reports and the page in a browser: docs/report.png, seen.png, verdict.png, requirements.png, view.png and
 view-drive.png.
 
-Usage: .venv/bin/python tools/draw_screens.py report|verdict|requirements|view
+Usage: .venv/bin/python tools/draw_screens.py report|seen|verdict|requirements|view
 """
 
 import re
@@ -60,6 +60,22 @@ def report() -> None:
             driver.execute_script(f"{part}.scrollIntoView()")
             parts.append(np.asarray(Image.open(BytesIO(driver.get_screenshot_as_png())).convert("RGB")))
     save(Image.fromarray(np.concatenate(parts, axis=1)), "report.png", 64)
+
+
+def seen() -> None:
+    """Place the sedan's sensors, and photograph what the report begins with: misses by object, and from above."""
+    with tempfile.TemporaryDirectory() as folder, browser(1000, 1000) as driver:
+        line = ["optimize", str(ROOT / "data/studies/sedan.yaml"), "-o", folder, "--evaluations", "6000", "--quiet"]
+        cli.main(line, prog_name="lidarcfg", standalone_mode=False)
+        driver.get((Path(folder) / "report.html").as_uri())
+        parts = []
+        for part in ("table", "figure svg"):
+            element = driver.find_element("css selector", f"section[aria-labelledby=seen] {part}")
+            parts.append(Image.open(BytesIO(element.screenshot_as_png)).convert("RGB"))
+    image = Image.new("RGB", (max(one.width for one in parts), sum(one.height for one in parts)), "white")
+    image.paste(parts[0], (0, 0))
+    image.paste(parts[1], (0, parts[0].height))
+    save(image, "seen.png", 128)
 
 
 def verdict() -> None:
@@ -131,4 +147,4 @@ def view() -> None:
 
 
 if __name__ == "__main__":
-    {"report": report, "verdict": verdict, "requirements": requirements, "view": view}[sys.argv[1]]()
+    {"report": report, "seen": seen, "verdict": verdict, "requirements": requirements, "view": view}[sys.argv[1]]()

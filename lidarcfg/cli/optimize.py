@@ -97,11 +97,13 @@ def optimize(
     baseline: Path | None,
     quiet: bool,
 ) -> None:
-    """Find the poses that meet requirements, or minimise max VSR.
+    """Find the poses that meet requirements, or miss least.
 
     If the study has requirements, the search first looks for a rig that meets them. Among those that do, it minimises
-    the objective or, without one, maximises the smallest margin. It begins with the plain rigs that an engineer would
-    try. If a requirement is not met, the rig that comes closest is still written, and the command exits with 3.
+    the objective or, without one, maximises the smallest margin. Without requirements it minimises the study's
+    objective: by default misses around the vehicle, or max VSR without one. It begins with the plain rigs that an
+    engineer would try. If a requirement is not met, the rig that comes closest is still written, and the command exits
+    with 3.
 
     Ctrl-C ends the search and keeps the best rig found. rig.yaml and search.npz are updated every few seconds, so
     --resume can continue even a search that was killed.

@@ -126,12 +126,10 @@ def _verdict(contents: Contents, shown: dict[str, Any] | None) -> dict[str, Any]
 
 def _misses(contents: Contents) -> dict[str, Any] | None:
     """What the first rig misses; None without a vehicle, or where sensors lack facts."""
-    if contents.study is None or contents.study.misses is None:
+    study = contents.study
+    if study is None or study.misses is None or not _counts_misses(study, contents.rigs[0]):
         return None
-    try:
-        return MissCounter(contents.study.misses).count(contents.rigs[0])
-    except ConfigError:
-        return None
+    return MissCounter(study.misses).count(contents.rigs[0])
 
 
 def html(page: Page | None) -> str:
@@ -278,6 +276,14 @@ def _mount(mount: Mount) -> dict[str, Any]:
     }
 
 
+def _counts_misses(study: Study, rig: Rig) -> bool:
+    """Whether there is a vehicle around which misses are counted, and the sensors' files say how they fire."""
+    try:
+        return study.misses is not None and bool(study.scanners(rig.mounts))
+    except ConfigError:
+        return False
+
+
 def _study(study: Study, rig: Rig) -> dict[str, Any]:
     ours = has_its_sensors(study, rig)
     return {
@@ -299,7 +305,7 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
             {"name": zone.name, "weight": zone.weight, "min_m": zone.box_m[0].tolist(), "max_m": zone.box_m[1].tolist()}
             for zone in study.zones
         ],
-        "misses": study.misses is not None,
+        "misses": _counts_misses(study, rig),
         "detects": len(study.detection) > 0,
         "requirements": [item.name for item in study.requirements.items] if study.requirements else [],
     }

@@ -176,7 +176,7 @@ def test_files_are_summed_up(tmp_path):
     done = lidarcfg("validate", "data/studies/sedan.yaml", "data/rigs/roof.yaml", cwd=ROOT)
     assert done.stdout.splitlines() == [
         "data/studies/sedan.yaml: study: 47,930 cuboids, 4 × vlp-16, 4 objects; auto searches 18 free coordinates for "
-        "20,000 evaluations, to minimise max VSR",
+        "20,000 evaluations, to minimise misses: places where an object gets fewer than 3 returns",
         "data/rigs/roof.yaml: rig: 2 × vlp-16, no vehicle; can be exported",
     ]
     front = summary(ROOT / "data/studies/truck-prices.yaml").text

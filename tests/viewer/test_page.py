@@ -539,6 +539,7 @@ def test_no_text_of_the_users_ends_a_script(tmp_path, contents):
 
 CAB = """
 region: {min_m: [-8, -5, 0], max_m: [8, 5, 3], cuboid_m: [0.5, 0.5, 0.25]}
+objective: {max_vsr: 1}
 vehicle:
   boxes: [{name: cab, center_m: [0, 0, 0.75], size_m: [4, 2, 1.5], exclude: true}]
 sensors:
