@@ -234,6 +234,8 @@ def describe_skips(study: Study) -> str:
     wanted = study.objective
     if study.requirements:
         return "A trial ends as soon as the places counted so far show that its shortfall is no less than that to beat."
+    if study.is_misses:
+        return "A trial ends as soon as the places counted so far show that it misses no less than what it has to beat."
     if study.solver.method == "cmaes":
         return "This solver ranks its trials by their costs, so each is evaluated in full."
     if wanted.is_max_vsr:
