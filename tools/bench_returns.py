@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""How fast returns are counted: over an object's places, beside Open3D's rays alone; and in a search, by the solver.
+"""How fast returns are counted: over an object's places, beside Open3D's rays alone; in a search; and misses.
 
     .venv/bin/python tools/bench_returns.py
 
-Prints the tables of docs/evidence/benchmarks.md, section "Detection by returns", by processor time.
+Prints the tables of docs/evidence/benchmarks.md, sections "Detection by returns" and "Misses", by processor time.
 """
 
 import statistics
@@ -12,17 +12,23 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import judge_misses as judge
 import numpy as np
 import open3d as o3d
 from page import ROOT, machine, table
 
+from lidarcfg.geometry import rotations
 from lidarcfg.placement.cones import poses, rig_lidars
+from lidarcfg.placement.misses_search import MissesRun
 from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.search_run import Budget
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.returns.counts import returns
+from lidarcfg.returns.known import KnownReturns, RigAt
+from lidarcfg.returns.misses import FRESH, FRESH_PLACES, SEARCH_PLACES
 from lidarcfg.returns.scanners import PHASES, compiled, scanner
 from lidarcfg.returns.target import Target
-from lidarcfg.sensors.rig import load_rig
+from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.world.meshes import read_mesh
 
 OBJECTS = ("pedestrian", "child", "cyclist", "car", "tyre")
@@ -32,6 +38,8 @@ SEARCH_STEP_M = 2.0
 EVALUATIONS = {"annealing": 2000, "cmaes": 300, "abc": 600}
 REPEATS = 5
 RAYS = 2_000_000
+MOVES = 2000  # of one sensor of a rig
+JUDGED = 20  # places of each object, by Open3D
 
 
 def seconds(function: Callable[[], object]) -> float:
@@ -109,8 +117,75 @@ def searching(study: Study) -> list[list[str]]:
     return rows
 
 
+def moved(study: Study) -> list[np.ndarray]:
+    """The poses of rigs, each with one sensor elsewhere than in the one before."""
+    rng = np.random.default_rng(1)
+    poses = study.midpoint.copy()
+    found = []
+    for number in range(MOVES):
+        one = number % len(poses)
+        poses[one] = study.poses(rng.random((1, int(study.free.sum()))))[0, one]
+        found.append(poses.copy())
+    return found
+
+
+def missing(study: Study) -> list[tuple[str, str]]:
+    """Rows: evaluations a second at the places of a search; and a rig at fresh places, by parts."""
+    misses = study.misses
+    assert misses
+    rows = []
+    known = misses.known(SEARCH_PLACES)
+    number = known.numbers(study.rig(study.midpoint).mounts)
+    rigs = [RigAt(number, rotations(one[:, 3:]), np.ascontiguousarray(one[:, :3])) for one in moved(study)]
+    begun = time.process_time()
+    for rig in rigs:
+        known.misses(rig, misses.weights, misses.returns)
+    rows.append(("evaluations a second, the kernel alone", f"{MOVES / (time.process_time() - begun):,.0f}"))
+    searched = with_solver(study, method="auto", evaluations=MOVES, seed=1)
+    run = MissesRun(searched)
+    budget = Budget.of(searched.solver)
+    with run.evaluator(1) as evaluator:
+        begun = time.process_time()
+        while not run.is_over(budget):
+            run.step(evaluator, budget)
+        taken = time.process_time() - begun
+    trials = run.evaluations + run.asked["first"]
+    rows.append((f"a search's, which ends at {run.places} places", f"{trials / taken:,.0f}"))
+    drawn = seconds(lambda: [one.places(FRESH_PLACES, FRESH) for one in misses.objects])
+    rows.append((f"drawing {FRESH_PLACES:,} places of each object (s)", f"{drawn:.2f}"))
+    mounts = study.rig(study.midpoint).mounts
+    standing = misses.fresh.objects
+    counted = seconds(lambda: misses.found_at(KnownReturns(standing, misses.obstacles), mounts))
+    rows.append(("a rig's misses there (s)", f"{counted:.2f}"))
+    rows.append(("the same at a place (µs)", f"{1e6 * counted / (FRESH_PLACES * len(standing)):.1f}"))
+    rows.append(("tools/judge_misses.py at a place, of one phase instead of four (µs)", f"{1e6 * judged(study):.0f}"))
+    return rows
+
+
+def judged(study: Study) -> float:
+    """The processor time that the outside judge takes for a place, with the same objects, at places that are given."""
+    body = o3d.io.read_triangle_mesh(str(ROOT / "data/vehicles/sedan.ply"))
+    bodies = judge.scene_of(np.asarray(body.vertices), np.asarray(body.triangles))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.yaml"
+        save_rig(study.rig(study.midpoint), path)
+        rays = [judge.rays_of(one, path.parent) for one in judge.yaml.safe_load(path.read_text())["sensors"]]
+    clear_m = [judge.hits_m(bodies, one.start_m, one.direction) for one in rays]
+    things = judge.things(ROOT / "data/objects")
+    assert study.misses
+    given = {one.name.replace("pedestrian", "adult"): one.places(JUDGED, FRESH) for one in study.misses.objects}
+    taken = seconds(
+        lambda: [
+            judge.returns(rays, clear_m, things[name], place[[0, 1, 3]])
+            for name, some in given.items()
+            for place in some
+        ]
+    )
+    return taken / (JUDGED * len(given))
+
+
 def main() -> None:
-    """Print both tables."""
+    """Print the tables."""
     print(machine())
     print(f"\nFour VLP-16 on the sedan, one thread, {PHASES} phases, {len(places(STEP_M)):,} places:\n")
     header = ("object", "returns a place", "µs a place", "of which Open3D takes for as many rays that hit (µs)")
@@ -118,6 +193,8 @@ def main() -> None:
     study = searched()
     print(f"\nSearch by returns of {', '.join(SEARCHED)}, {len(study.detection_targets[0].places):,} places:\n")
     print("\n".join(table(("solver", "evaluations", "a second"), searching(study))))
+    print(f"\nMisses of four VLP-16 on the sedan, six objects, {SEARCH_PLACES} places each in a search, one thread:\n")
+    print("\n".join(table(("misses", ""), missing(load_study(ROOT / "data/studies/sedan.yaml")))))
 
 
 if __name__ == "__main__":

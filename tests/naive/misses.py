@@ -33,19 +33,26 @@ def frame(rows, frame_ns, frames, phase):
     return rays
 
 
-def returned(rays, position_m, rpy_rad, range_m, thing, body):
-    """How many rays of a sensor hit an object, within its range, before any body."""
-    middle = (thing.reshape(-1, 3).min(axis=0) + thing.reshape(-1, 3).max(axis=0)) / 2
-    radius_m = np.linalg.norm(thing.reshape(-1, 3) - middle, axis=1).max()
-    away = middle - position_m
-    count = 0
+def directions(rays, rpy_rad):
+    """The rays of a sensor that is turned, as directions (N, 3) in the vehicle frame."""
+    ways = []
     for azimuth_deg, rise_deg in rays:
         azimuth, rise = math.radians(azimuth_deg), math.radians(rise_deg)
         way = math.cos(rise) * math.cos(azimuth), -math.cos(rise) * math.sin(azimuth), math.sin(rise)
-        way = turned(*rpy_rad, way)
-        along = away @ way
-        if along < -radius_m or away @ away - along**2 > radius_m**2 + 1e-9:
-            continue  # it passes by the ball around the object
+        ways.append(turned(*rpy_rad, way))
+    return np.array(ways)
+
+
+def returned(ways, position_m, range_m, thing, body):
+    """How many rays from a position hit an object, within the sensor's range, before any body."""
+    corners = thing.reshape(-1, 3)
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    radius_m = np.linalg.norm(corners - middle, axis=1).max()
+    away = middle - position_m
+    along = ways @ away
+    near = (along >= -radius_m) & (away @ away - along**2 <= radius_m**2 + 1e-9)  # others pass by the ball around it
+    count = 0
+    for way in ways[near]:
         far = hit_m(np.array(position_m), way, thing)
         if range_m[0] <= far <= range_m[1] and far < hit_m(np.array(position_m), way, body):
             count += 1
