@@ -36,7 +36,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
 EXAMPLES = sorted((DOCS / "examples").glob("*.py"))
 # What others' commands are given in the text.
-OTHERS_OPTIONS = {"--long", "--help", "--no-deps", "--packets", "--makers", "--nightly", "--sanitize"}
+OTHERS_OPTIONS = {"--long", "--objects", "--help", "--no-deps", "--packets", "--makers", "--nightly", "--sanitize"}
 COMMANDS = {
     f"{prefix}{name}": command
     for prefix, group in (("", cli), ("sensors ", cli.commands["sensors"]))
