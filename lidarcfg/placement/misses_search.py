@@ -1,9 +1,9 @@
 """The search for the rig that misses least: from plain rigs, at ever more places, compared at the end at fresh ones.
 
 A search that counts misses at few places is quick, and soon finds rigs that suit these places better than the world.
-So once its best rigs differ by less than so few places can tell, it counts at twice as many, and the solver starts anew
-from the best rigs and the best plain ones. Costs of different numbers of places are never compared. When the places
-double depends on the evaluations alone, so a search that is resumed does the same.
+So once its best rigs differ by less than so few places can tell, it counts at twice as many, up to a limit, and the
+solver starts anew from the best rigs and the best plain ones. Costs of different numbers of places are never compared.
+When the places double depends on the evaluations alone, so a search that is resumed does the same.
 
 At the end the best of the rigs that are searched around, and the best plain ones, are compared at fresh places, which
 no search has seen. If a plain one is better, it is the result.
@@ -19,7 +19,7 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.placement.points_first import STARTS, PointsFirst
 from lidarcfg.placement.search_run import Believed, Budget, Compared, Log, Placement, SearchRun, TrialEvaluator
-from lidarcfg.placement.solvers.search import FixedPoint, cost_of, unbounded
+from lidarcfg.placement.solvers.search import NO_COST, FixedPoint, Trials, cost_of, unbounded
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.requirements.verdict import Verdict
@@ -46,6 +46,7 @@ class MissesRun(SearchRun):
         self._cycles_before = 0  # of searches that were given up
         self.places = SEARCH_PLACES  # of each object, at which misses are counted
         self._asked_at = 0  # evaluations, when it was asked whether these tell rigs apart
+        self._second_x: Array | None = None  # the best rig before the best one, at these places
         self._plain = points[:0]  # the best of the first points so far
         self._midpoint: MissesFound | None = None
         self._compare_s = 0.0  # that it takes to compare rigs at fresh places
@@ -76,6 +77,14 @@ class MissesRun(SearchRun):
             bool(self.history) and time.perf_counter() + self._compare_s >= budget.deadline
         )
 
+    def tell(self, trials: Trials, cost: Array, budget: Budget) -> bool:
+        """As SearchRun."""
+        before = self.best_x, self.best_cost
+        told = super().tell(trials, cost, budget)
+        if NO_COST > before[1] > self.best_cost:
+            self._second_x = before[0]
+        return told
+
     def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials, and double the places where that is due. Returns as SearchRun.step."""
         told = super().step(evaluator, budget)
@@ -88,25 +97,28 @@ class MissesRun(SearchRun):
 
     @property
     def _may_double(self) -> bool:
-        """Whether the places can be doubled, and misses are what the best rigs differ in."""
-        return self.study.objective.misses is not None and self.best_cost.shortfall == 0 and self.places < FRESH_PLACES
+        """Whether misses are what the best rigs differ in."""
+        return self.study.objective.misses is not None and self.best_cost.shortfall == 0
 
     def _tells_apart(self, known: KnownReturns) -> bool:
-        """Whether the best rig differs by more than chance from the next best of those that are searched around."""
+        """Whether the best rig differs by more than chance from the best one before."""
         study = self.study
         assert study.misses
-        others = [x for x in np.unique(self._search.sources, axis=0) if (x != self.best_x).any()]
-        if not others:
+        if self._second_x is None:
             return False
-        found = [study.misses.found_at(known, study.rig(pose).mounts) for pose in study.poses(np.array(others))]
-        best = study.misses.found_at(known, self.rig().mounts)
-        mean, error = best.compared(min(found, key=lambda one: one.mean))
+        best, second = (
+            study.misses.found_at(known, study.rig(pose).mounts)
+            for pose in study.poses(np.array([self.best_x, self._second_x]))
+        )
+        mean, error = best.compared(second)
         return mean > TOLD_APART * error
 
     def _double(self, evaluator: TrialEvaluator) -> None:
-        """Count at twice as many places, and start the solver anew."""
-        self.places *= 2
-        evaluator.count_at(self.places)
+        """Count at twice as many places, if there may be more, and start the solver anew."""
+        if self.places < FRESH_PLACES:
+            self.places *= 2
+            evaluator.count_at(self.places)
+            self._second_x = None
         self._start_anew(evaluator, np.concatenate([self._search.sources, self._best_plain()]))
 
     def _best_plain(self) -> Array:
