@@ -143,9 +143,7 @@ def optimize(
                 "--baseline is for one rig, and this study has a front of them; compare these with it"
             )
         if loaded.requirements:
-            if resume:
-                raise click.UsageError("--resume is for one rig's search; that for the cheapest rig begins anew")
-            _find_cheapest(loaded, study, folder, scheduler, threads, quiet, start)
+            _find_cheapest(loaded, study, folder, resume, scheduler, threads, quiet, start)
             return
         _find_front(loaded, study, folder, resume, threads, quiet, start)
         return
@@ -248,6 +246,7 @@ def _find_cheapest(
     study: "Study",
     path: Path,
     folder: Path,
+    resume: Path | None,
     scheduler: str | None,
     threads: int | None,
     quiet: bool,
@@ -257,23 +256,40 @@ def _find_cheapest(
 
     Exits with 130 after Ctrl-C, and with 3 where a requirement is not met.
     """
+    import time
+
     from lidarcfg.placement.cheapest import cheapest
     from lidarcfg.placement.report_inputs import report_inputs
     from lidarcfg.placement.sweep import Cluster
+    from lidarcfg.report.cheapest import (
+        COMBINATIONS,
+        choice_part,
+        load_cheapest_log,
+        print_cheapest,
+        save_cheapest_log,
+        save_cheapest_progress,
+        save_combinations,
+    )
     from lidarcfg.report.document import Commands
     from lidarcfg.report.results import RESULTS, check_writable, save_placement
-    from lidarcfg.report.tables import COMBINATIONS, print_cheapest, print_placement, save_combinations
+    from lidarcfg.report.tables import print_placement
 
+    log = load_cheapest_log(study, resume) if resume else None
     check_writable(folder, (*RESULTS, COMBINATIONS))
+    saved_s = time.monotonic()
     with progress(quiet) as on_progress:
 
         def on_effort(run: "CheapestRun", what: str) -> None:
+            nonlocal saved_s
             best = "none meets all yet" if run.found is None else f"{run.options[run.found].name} meets all"
-            on_progress(max(run.spent, run.done if run.spent == 0 else 0), f"{what}; {best}")
+            on_progress(run.spent or run.done, f"{what}; {best}")
+            if time.monotonic() - saved_s > SAVE_EVERY_S:
+                save_cheapest_progress(study, run.log(), folder)
+                saved_s = time.monotonic()
 
         workers = Cluster(scheduler) if scheduler else None
         try:
-            found = cheapest(study, threads, on_effort, workers, rigs=_rigs(start))
+            found = cheapest(study, threads, on_effort, workers, rigs=_rigs(start), log=log)
         finally:
             if workers:
                 workers.close()
@@ -286,11 +302,15 @@ def _find_cheapest(
         words = ("--solver", study.solver.method, "--seed", study.solver.seed)
         budget = ("--evaluations", max(found.evaluations, 1))
         again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words, *budget, *_started(start))))
-        save_placement(chosen, placed, shown, folder, Commands(command_line(), again))
+        go_on = shlex.join(("lidarcfg", "optimize", str(path), "--resume", str(folder)))
+        save_placement(chosen, placed, shown, folder, Commands(command_line(), again), choice=choice_part(found, go_on))
         save_combinations(found, folder)
+        save_cheapest_log(study, found.log, folder)
     if not quiet:
         print_placement(chosen, placed, shown.evaluation)
         print_cheapest(found)
+        if not found.meets:
+            click.echo(f"to go on: {go_on}")
         click.echo(f"written to {folder}/: report.html rig.yaml result.json {COMBINATIONS}")
     if found.interrupted:
         click.echo("interrupted; the best rig so far is kept", err=True)

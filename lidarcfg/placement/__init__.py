@@ -18,10 +18,10 @@ Beyond the paper: `objective` has the terms that may be minimised, `zones` weigh
 `return_counts` compute how often objects are detected, `blind_spots` what no LiDAR sees; `study_evaluator` takes
 failures and mounting errors into account; `surfaces` are where on a body sensors may sit; `analytic`, with
 `boundaries`, measures the subspaces themselves instead of their cuboids; `combinations` and `front` choose sensors by
-price; `plan` and `sweep` run many searches. `plain_rigs`, or with `starts` given ones, are the `points_first` of a
-search; `misses_search` goes on from them at ever more places. For requirements: `screen` ranks plain rigs,
-`requirements_search` has the costs and the search, `cheapest` finds the cheapest rig, and `achievable` what no rig can
-meet.
+price; `plan` and `sweep` run many searches. A search may begin with given points (`points_first`): `starts` are the
+user's rigs, `plain_rigs` those that an engineer would try; `misses_search` goes on from them at ever more places. For
+requirements: `screen` ranks plain rigs, `requirements_search` has the costs and the search, `cheapest` finds the
+cheapest rig, and `achievable` what no rig can meet.
 """
 
 import lazy_loader

@@ -18,7 +18,7 @@ known beforehand that they miss a requirement.
 import math
 import pickle
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -75,12 +75,18 @@ class Effort:
     worst: float  # the largest relative shortfall of that rig at any place
     shortfall: float  # the sum of the means over places; 0: it meets all at those of trials
     failing: tuple[str, ...]  # the requirements that it misses
-    verdict: Verdict | None  # if it was verified
+    meets: bool  # whether its best rig is verified
+    verdict: Verdict | None = None  # on that rig, where it is known
 
-    @property
-    def meets(self) -> bool:
-        """Whether its best rig is verified."""
-        return self.verdict is not None and self.verdict.passed
+
+@dataclass(frozen=True)
+class CheapestLog:
+    """What the searches of all combinations have found: everything needed to resume them."""
+
+    efforts: Mapping[int, Effort]  # by the number of the option
+    turns: Mapping[int, int]  # that each had
+    places: Places  # at which rigs failed that were tried
+    excluded: Mapping[int, str]  # why no rig of an option can meet all
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,7 @@ class Cheapest:
     evaluations: int
     seconds: float  # of the search, without what is found out about its rig at the end
     interrupted: bool
+    log: CheapestLog
 
     @property
     def meets(self) -> bool:
@@ -129,20 +136,21 @@ def cheapest(
     workers: Workers | None = None,
     skip: bool = True,
     rigs: Sequence[Rig] = (),
+    log: CheapestLog | None = None,
 ) -> Cheapest:
     """Find the cheapest combination of a study with a rig that meets all requirements.
 
-    `rigs` are tried first, each in the combination whose models it has. `on_effort` gets the state and what was done
-    last. With `workers` combinations are searched there, each by one thread; the result is the same, unless the budget
-    ends within a round, as the last ones may be others. An interrupt (Ctrl-C) ends the search and keeps what is found
-    so far. Raises ConfigError without a choice, without requirements, for rigs that the study does not allow, and if no
-    combination has a rig that meets the constraints.
+    `rigs` are tried first, each in the combination whose models it has. `log` resumes an earlier search. `on_effort`
+    gets the state and what was done last. With `workers` combinations are searched there, each by one thread; the
+    result is the same, unless the budget ends within a round, as the last ones may be others. An interrupt (Ctrl-C)
+    ends the search and keeps what is found so far. Raises ConfigError without a choice, without requirements, for rigs
+    that the study does not allow, and if no combination has a rig that meets the constraints.
     """
     if not study.to_choose:
         raise ConfigError("nothing to choose in the study: no group has `choose`")
     if study.requirements is None:
         raise ConfigError("the study has no requirements, which the cheapest rig should meet; `front` needs none")
-    run = CheapestRun(study, threads, workers, skip, rigs)
+    run = CheapestRun(study, threads, workers, skip, rigs, log)
     interrupted = False
     try:
         run.run(on_effort)
@@ -174,6 +182,7 @@ class CheapestRun:
         workers: Workers | None = None,
         skip: bool = True,
         rigs: Sequence[Rig] = (),
+        log: CheapestLog | None = None,
     ) -> None:
         """Raises ConfigError for rigs that the study does not allow."""
         assert study.requirements
@@ -197,6 +206,17 @@ class CheapestRun:
         self._say: Callable[[str], None] = lambda what: None
         self.found: int | None = None  # the cheapest that meets all so far
         self.done = 0.0  # the fraction of the screening, or of a round
+        if log:
+            self.efforts |= log.efforts
+            self._turns |= log.turns
+            self._places |= log.places
+            self.excluded |= log.excluded
+            self._screen.add_places(log.places)
+            self.found = min((n for n, one in log.efforts.items() if one.meets), default=None)
+
+    def log(self) -> CheapestLog:
+        """What is found so far."""
+        return CheapestLog(dict(self.efforts), dict(self._turns), dict(self._places), dict(self.excluded))
 
     @property
     def evaluations(self) -> int:
@@ -261,8 +281,7 @@ class CheapestRun:
             if number < self.cheaper or number in self._given:
                 given = self._given.get(number, [])
                 self._screened(number, np.array([*given, *plain_points(self._study_of(number))]))
-                self._try(number)
-                if number in self.efforts and number < self.cheaper and not self._is_spent():
+                if self._try(number) and number < self.cheaper and not self._is_spent():
                     self._do_round([number])  # it met all where trials look: little is missing
                 self._say(f"plain rigs of {self.options[number].name}")
         self.done = 1.0
@@ -271,10 +290,10 @@ class CheapestRun:
         """Rank the rigs of a combination at some points."""
         self._rigs[number] = Rigs(*self._screen.ranked(self._study_of(number), points))
 
-    def _try(self, number: int) -> None:
+    def _try(self, number: int) -> bool:
         """Verify the rigs of a combination that meet all at the places of trials, until one passes or none is left.
 
-        The one with the largest margin comes first.
+        The one with the largest margin comes first. Returns whether there were any.
         """
         tried: set[bytes] = set()
         while number < self.cheaper and not (tried and self._is_spent()):
@@ -282,7 +301,7 @@ class CheapestRun:
             met = [x for x, worst in zip(rigs.points, rigs.found.worst, strict=True) if worst <= 0]
             x = next((x for x in met if x.tobytes() not in tried), None)
             if x is None:
-                return
+                break
             tried.add(x.tobytes())
             began = time.perf_counter()
             effort = effort_of(self._job(number, Log.empty(x[None]), 0), self._threads)
@@ -294,6 +313,7 @@ class CheapestRun:
                 self._screen.add_places({n: some[len(self._places.get(n, ())) :] for n, some in effort.places.items()})
                 self._places = dict(effort.places)
                 self._screened(number, rigs.points)
+        return bool(tried)
 
     def _keep(self, number: int, effort: Effort) -> None:
         """Keep the effort of an option; of a try, if it is the better one."""
@@ -421,7 +441,7 @@ class CheapestRun:
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
         combination = self.options[best].combination
         effort = self.efforts[best]
-        if effort.verdict is None:
+        if effort.verdict is None:  # of one that misses requirements, or was resumed
             effort = replace(effort, verdict=verdict_of(combination.study, effort.x))
         seconds = time.perf_counter() - self._began
         return Cheapest(
@@ -434,6 +454,7 @@ class CheapestRun:
             evaluations=self.evaluations,
             seconds=seconds,
             interrupted=interrupted,
+            log=self.log(),
         )
 
     def _tried(self, number: int) -> SearchedCombination:
@@ -496,6 +517,7 @@ def effort_of(job: Job, threads: int | None = None) -> Effort | str:
         worst=worst,
         shortfall=float(shortfalls.sum()),
         failing=tuple(item.name for item, short in zip(items, shortfalls, strict=True) if short > 0),
+        meets=run.is_verified,
         verdict=run.verdict,
     )
 

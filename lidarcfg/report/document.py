@@ -76,6 +76,16 @@ class Commands:
 
 
 @dataclass(frozen=True)
+class ChoicePart:
+    """The part on the combinations that were searched for the cheapest rig."""
+
+    answer: str
+    searched: str
+    table: Table
+    again: str | None  # the command that goes on, if none meets all
+
+
+@dataclass(frozen=True)
 class Baseline:
     """A rig to compare a result with, and its evaluation in the same study."""
 
@@ -92,10 +102,12 @@ def report(
     placement: Placement | None,
     commands: Commands | None,
     baseline: Baseline | None,
+    choice: ChoicePart | None = None,
 ) -> str:
     """The report of a rig; `values` is its result.json, and `placement` the search that found it, if any.
 
-    Every table also shows the baseline, if there is one. Raises ConfigError if SOURCE_DATE_EPOCH is not a time.
+    `choice` says which combinations of sensors were searched. Every table also shows the baseline, if there is one.
+    Raises ConfigError if SOURCE_DATE_EPOCH is not a time.
     """
     found = details.evaluation
     own = _tables(study, rig, details)
@@ -107,6 +119,7 @@ def report(
     return render(
         "report.html",
         title=f"Report: {rig.name}",
+        choice=choice,
         about=f"{describe_rig(rig)}; {what} by lidarcfg {__version__} on {date()}",
         found=verdict_part(details.verification, rig, baseline.details.evaluation.verdict if baseline else None)
         if details.verification

@@ -25,7 +25,7 @@ from lidarcfg.placement.return_counts import STEP_M as STEP_M_OF_RETURNS
 from lidarcfg.placement.search_run import Believed, Check, Log, Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
-from lidarcfg.report.document import Baseline, Commands, report
+from lidarcfg.report.document import Baseline, ChoicePart, Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.report.verification import verdict_page
 from lidarcfg.requirements.posts import PostVisibility
@@ -202,6 +202,7 @@ def save_placement(
     folder: Path,
     commands: Commands | None = None,
     baseline: Baseline | None = None,
+    choice: ChoicePart | None = None,
 ) -> None:
     """Write the result of a search into `folder`; `details` are those of its rig.
 
@@ -213,7 +214,7 @@ def save_placement(
         values["baseline"] = baseline_dict(study, baseline)
     convergence = draw_convergence(study, found)
     figure = draw_rig(study, found.rig, details.evaluation)
-    page = report(study, found.rig, details, values, found, commands, baseline)
+    page = report(study, found.rig, details, values, found, commands, baseline, choice)
     _write_progress(study, found.rig, found.log, folder)
     write_text(to_json(values) + "\n", folder / "result.json")
     write_history(found.history, folder)

@@ -1,9 +1,6 @@
-"""Results as tables on the terminal; and the combinations searched for the cheapest rig, also as a CSV file."""
+"""Results as tables on the terminal."""
 
-import csv
-import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +8,6 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Column, Table
 
-from lidarcfg.files import replacing
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
@@ -29,9 +25,6 @@ if TYPE_CHECKING:
     from lidarcfg.report.comparison import Contender
 
 FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
-COMBINATIONS = "combinations.csv"
-SHOWN = 20  # combinations on the terminal
-COLUMNS = ("combination", "price", "sensors", "evaluations", "shortfall", "missed", "meets", "excluded")
 
 
 def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> None:
@@ -237,78 +230,3 @@ def _between(gap: int, between_deg: Sequence[float | None]) -> str:
     if all(angle is None for angle in between_deg):
         return "no cones"
     return "…".join("" if angle is None else f"{angle:g}" for angle in between_deg)
-
-
-if TYPE_CHECKING:
-    from lidarcfg.placement.cheapest import Cheapest, SearchedCombination
-
-
-def save_combinations(found: "Cheapest", folder: Path) -> None:
-    """Write combinations.csv: how long each was searched, and how short it fell; empty if it has no rig yet."""
-    with replacing(folder / COMBINATIONS) as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for one in found.tried:
-            short = one.shortfall if math.isfinite(one.shortfall) else ""
-            missed = "; ".join(one.failing)
-            row = (one.name, one.price, one.sensors, one.evaluations, short, missed, int(one.meets), one.excluded or "")
-            writer.writerow(row)
-
-
-def print_cheapest(found: "Cheapest") -> None:
-    """Print the answer, then the cheaper combinations, or those that come closest if none meets all."""
-    console = terminal()
-    asked = found.combination
-    if found.meets:
-        console.print(f"the cheapest rig found that meets all requirements: {asked.sensors}, for {price(asked.price)}")
-    else:
-        console.print(f"no rig found meets all requirements; {asked.sensors}, for {price(asked.price)}, comes closest")
-    searched = sum(one.evaluations > 0 for one in found.tried)
-    console.print(
-        f"{searched:,} of {counted(found.combinations, 'combination')} searched; "
-        f"{counted(sum(one.evaluations for one in found.tried), 'evaluation')}, {found.seconds:.1f} s"
-    )
-    cheaper = [one for one in found.tried if one.price < asked.price]
-    shown = [one for one in cheaper if not one.excluded] if found.meets else _closest(found.tried)
-    if shown:
-        _print_combinations(shown, "cheaper combinations" if found.meets else "the closest combinations")
-    first = next((one for one in found.tried if one.excluded), None)
-    if first:
-        console.print(f"{counted(found.excluded, 'combination')} cannot meet all, such as {truncate(first.name)}:")
-        console.print(f"{first.excluded}; the others are in {COMBINATIONS}")
-
-
-def _print_combinations(shown: "list[SearchedCombination]", title: str) -> None:
-    console = terminal()
-    table = Table(
-        Column("price", justify="right"),
-        Column("combination", overflow="fold"),
-        Column("evaluations", justify="right"),
-        Column("short by", justify="right"),
-        Column("misses", overflow="fold"),
-        title=title,
-        box=SIMPLE,
-    )
-    for one in shown[:SHOWN]:
-        table.add_row(
-            price(one.price),
-            truncate(one.name),
-            f"{one.evaluations:,}",
-            f"{one.shortfall:.4g}" if math.isfinite(one.shortfall) else "–",
-            _missed(one),
-        )
-    console.print(table)
-    if len(shown) > SHOWN:
-        console.print(f"and {len(shown) - SHOWN:,} more: see {COMBINATIONS}")
-
-
-def _closest(tried: "tuple[SearchedCombination, ...]") -> "list[SearchedCombination]":
-    return sorted((one for one in tried if math.isfinite(one.shortfall)), key=lambda one: one.shortfall)
-
-
-def _missed(one: "SearchedCombination") -> str:
-    if not one.evaluations:
-        return "not searched"
-    if one.failing:
-        return ", ".join(truncate(name) for name in one.failing)
-    return "" if one.meets else "places between those of the grid"
