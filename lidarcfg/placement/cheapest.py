@@ -534,7 +534,7 @@ def _without_rig(job: Job, run: RequirementsRun) -> Effort:
         worst=math.inf,
         shortfall=math.inf,
         failing=(CONSTRAINTS,),
-        verdict=None,
+        meets=False,
     )
 
 

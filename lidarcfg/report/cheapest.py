@@ -194,7 +194,8 @@ def _effort_dict(number: int, one: Any) -> dict[str, Any]:
         "cost": log.cost.tolist(),
         "seconds": log.seconds,
         "points": log.points.tolist(),
-        "checks": [(check.told, check.passed, _places_list(check.places)) for check in log.checks],
+        "given": log.given,
+        "checks": [(check.told, check.passed, _places_list(check.places), check.drawn) for check in log.checks],
         "start_places": _places_list(one.start_places),
         "places": _places_list(one.places),
         "evaluations": one.evaluations,
@@ -214,11 +215,13 @@ def _log_of(state: Any) -> "CheapestLog":
     efforts = {}
     for one in state["efforts"]:
         x = np.array(one["x"], np.float64)
-        checks = tuple(Check(int(told), bool(passed), _places_of(some)) for told, passed, some in one["checks"])
+        checks = tuple(
+            Check(int(told), bool(passed), _places_of(some), bool(drawn)) for told, passed, some, drawn in one["checks"]
+        )
         cost = np.array(one["cost"], np.float64).reshape(-1, 2)
         points = np.array(one["points"], np.float64).reshape(-1, len(x))
         efforts[int(one["option"])] = Effort(
-            log=Log(cost, float(one["seconds"]), points, checks),
+            log=Log(cost, float(one["seconds"]), points, int(one["given"]), checks),
             start_places=_places_of(one["start_places"]),
             places=_places_of(one["places"]),
             evaluations=int(one["evaluations"]),
