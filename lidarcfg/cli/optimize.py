@@ -20,7 +20,7 @@ from lidarcfg.cli.options import (
     warn,
     warn_of,
 )
-from lidarcfg.cli.progress import Interrupts, progress
+from lidarcfg.cli.progress import Interrupts, duration, progress
 from lidarcfg.cli.verify import NOT_MET
 
 if TYPE_CHECKING:
@@ -99,9 +99,9 @@ def optimize(
 ) -> None:
     """Find the poses that meet requirements, or miss least.
 
-    If the study has requirements, the search first looks for a rig that meets them. Among those that do, it minimises
-    the objective or, without one, maximises the smallest margin. Without requirements it minimises the study's
-    objective: by default misses around the vehicle, or max VSR without one. It begins with the plain rigs that an
+    If the study has requirements, the search first looks for a rig that meets them, and verifies the first one that
+    seems to. Among those that do, it minimises the objective. Without requirements it minimises the objective from
+    the start: by default misses around the vehicle, or max VSR without one. It begins with the plain rigs that an
     engineer would try. If a requirement is not met, the rig that comes closest is still written, and the command exits
     with 3.
 
@@ -111,7 +111,9 @@ def optimize(
     If the study lets sensors be chosen (`choose`), the result is a front: the rigs that no other rig beats in both
     price and objective. front.html shows them, and points/ has a folder for each. All combinations share the budget.
     With requirements, the result is instead the cheapest rig that meets all of them; combinations.csv lists all
-    combinations: how long each was searched, by how much it fell short, or why none of its rigs can meet all.
+    combinations: by how much the best rig of each falls short, or why none of its rigs can meet all.
+
+    --start names a rig of your own within the bounds: the search begins with it, and never ends with a worse one.
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
@@ -204,7 +206,8 @@ def _search(
             on_progress(max(fraction, min(budget.fraction(count, 0), 1.0)), f"{count:,} rigs evaluated")
             shown_s = time.monotonic()
 
-    on_progress(0.0, "searching")
+    seconds = study.solver.seconds
+    on_progress(0.0, "searching" if seconds is None else f"searching for {seconds:g} s; the report comes then")
     budget = Budget.of(study.solver)
     found = search(study, threads, on_cycle, log, on_evaluations=on_evaluations, starts=starts)
     if found.interrupted:
@@ -242,6 +245,17 @@ def _search_line(cycle: "Cycle") -> str:
     return f"{state}  {cycle.evaluations / cycle.seconds:,.0f} evaluations/s"
 
 
+def _plan(run: "CheapestRun", solver: "Solver") -> str:
+    """What the search for the cheapest rig will do, and how long it may take."""
+    screening = "the plain rigs of each first"
+    if run.sweep_s is not None:
+        screening += f", about {duration(run.sweep_s)} if none passes before"
+    budget = f"{solver.evaluations:,} evaluations" if solver.evaluations is not None else "its budget"
+    if solver.seconds is not None:
+        budget = f"{solver.seconds:g} s"
+    return f"{len(run.options):,} combinations: {screening}; the search ends after {budget}, and the report comes then"
+
+
 def _find_cheapest(
     study: "Study",
     path: Path,
@@ -277,10 +291,14 @@ def _find_cheapest(
     log = load_cheapest_log(study, resume) if resume else None
     check_writable(folder, (*RESULTS, COMBINATIONS))
     saved_s = time.monotonic()
+    said = False  # how long it will take
     with progress(quiet) as on_progress:
 
         def on_effort(run: "CheapestRun", what: str) -> None:
-            nonlocal saved_s
+            nonlocal saved_s, said
+            if not (said or quiet):
+                click.echo(_plan(run, study.solver), err=True)
+                said = True
             best = "none meets all yet" if run.found is None else f"{run.options[run.found].name} meets all"
             on_progress(run.spent or run.done, f"{what}; {best}")
             if time.monotonic() - saved_s > SAVE_EVERY_S:

@@ -44,6 +44,7 @@ CONSTRAINTS = "the constraints"  # which a combination misses as long as no rig 
 TOO_DEAR = "too dear"
 FIRST = 250  # evaluations of a combination's first turn
 GROWTH = 4
+ESTIMATED = 1000  # combinations at most, of which it is estimated how long screening them takes
 NEAREST = 16  # combinations that have a turn at a time
 POINTS = 12  # plain rigs at which a combination's search begins
 EXAMPLES = 4  # combinations whose best rigs others begin with
@@ -206,6 +207,7 @@ class CheapestRun:
         self._say: Callable[[str], None] = lambda what: None
         self.found: int | None = None  # the cheapest that meets all so far
         self.done = 0.0  # the fraction of the screening, or of a round
+        self.sweep_s: float | None = None  # about how long screening all options takes, once the first is
         if log:
             self.efforts |= log.efforts
             self._turns |= log.turns
@@ -274,17 +276,35 @@ class CheapestRun:
         Rigs that were given come before, in theirs.
         """
         allowed = [n for n in range(len(self.options)) if n not in self.excluded] or list(range(len(self.options)))
-        for count, number in enumerate([*self._given, *(n for n in allowed if n not in self._given)]):
+        order = [*self._given, *(n for n in allowed if n not in self._given)]
+        casts = self._casts(order)
+        for count, number in enumerate(order):
             if self._rigs and self._is_spent():
                 break
             self.done = count / len(allowed)
             if number < self.cheaper or number in self._given:
                 given = self._given.get(number, [])
+                began = time.perf_counter()
                 self._screened(number, np.array([*given, *plain_points(self._study_of(number))]))
+                if self.sweep_s is None and casts:
+                    self.sweep_s = (time.perf_counter() - began) * sum(casts) / casts[0]
                 if self._try(number) and number < self.cheaper and not self._is_spent():
                     self._do_round([number])  # it met all where trials look: little is missing
                 self._say(f"plain rigs of {self.options[number].name}")
         self.done = 1.0
+
+    def _casts(self, order: Sequence[int]) -> list[int]:
+        """How many sensors at poses are cast for each of some options in turn; empty if that is not known."""
+        if len(order) > ESTIMATED:
+            return []
+        seen: set[object] = set()
+        found = []
+        for number in order:
+            study = self._study_of(number)
+            fresh = self._screen.unknown(study, plain_points(study)) - seen
+            seen |= fresh
+            found.append(len(fresh))
+        return found
 
     def _screened(self, number: int, points: Array) -> None:
         """Rank the rigs of a combination at some points."""

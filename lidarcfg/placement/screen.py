@@ -86,6 +86,13 @@ class Screen:
                 shortfalls[rig, n] = np.maximum(short, 0).mean()
         return Screened(worst, shortfalls)
 
+    def unknown(self, study: Study, points: Array) -> set[Key]:
+        """The sensors at poses of the rigs at points (n, free coordinates) that a quick look would cast."""
+        poses = study.poses(points) + 0.0
+        return {_key(slot, pose) for row in poses for slot, pose in zip(study.slots, row, strict=True)} - set(
+            self._known
+        )
+
     def ranked(self, study: Study, points: Array) -> tuple[Array, Screened]:
         """The points, the closest first, and what their rigs reach; all but the best are judged at a few places."""
         quick = self.judge(study, points, quick=True)

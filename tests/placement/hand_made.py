@@ -151,7 +151,7 @@ HAND_MADE = {
             pair("front", (2.0, 0.8, 2.55), (2.3, 1.05, 2.75), OUSTER, (-45, 0), (0, 45)),
             pair("rear", (-2.3, 0.8, 2.55), (-2.0, 1.05, 2.75), OUSTER, (-45, 0), (-45, 0)),
         ],
-        [asked("child around", "child", [2, 8], 15), asked("pedestrian around", "pedestrian", [5, 12], 11)],
+        [asked("child around", "child", [2, 8], 8), asked("pedestrian around", "pedestrian", [5, 12], 11)],
         [*both("os0-32", 2.25, 1.0, 2.65, -20, 20), *both("os0-32", -2.25, 1.0, 2.65, -20, -20)],
     ),
     "shuttle, low corners": HandMade(
@@ -188,9 +188,9 @@ HAND_MADE = {
             one("rear", (-3.8, -0.9, 0.6), (-3.7, 0.9, 2.0), VELODYNE, yaw=180.0),
         ],
         [
-            asked("cyclist right", "cyclist", [0.6, 5], 20, sector_deg=[200, 340]),
-            asked("child ahead", "child", [0.5, 4], 15, sector_deg=[-20, 20]),
-            asked("pedestrian behind", "pedestrian", [0.5, 5], 20, sector_deg=[165, 195]),
+            asked("cyclist right", "cyclist", [0.6, 5], 130, sector_deg=[200, 340]),
+            asked("child ahead", "child", [0.5, 4], 220, sector_deg=[-20, 20]),
+            asked("pedestrian behind", "pedestrian", [0.5, 5], 220, sector_deg=[165, 195]),
         ],
         [*both("pandar-xt32", 3.6, 1.45, 1.2), ("pandar-xt32", (-3.75, 0, 1.0), (0, 0, 180))],
     ),
@@ -202,8 +202,8 @@ HAND_MADE = {
             pair("rear", (-3.8, 1.1, 0.6), (-3.62, 1.4, 1.6), OUSTER),
         ],
         [
-            asked("pedestrian around", "pedestrian", [1, 12], 12, lost=1),
-            asked("child around", "child", [1, 6], 10),
+            asked("pedestrian around", "pedestrian", [1, 12], 3, lost=1),
+            asked("child around", "child", [1, 6], 18),
         ],
         [*both("os0-32", 3.7, 1.3, 0.9), *both("os0-32", -3.7, 1.3, 0.9)],
     ),
@@ -214,8 +214,8 @@ HAND_MADE = {
             pair("rear", (-3.75, 1.2, 0.5), (-3.62, 1.45, 1.5), ROBOSENSE),
         ],
         [
-            asked("child around", "child", [0.8, 8], 8),
-            asked("post behind", POST, [0.3, 2], 6, sector_deg=[150, 210], lost=1),
+            asked("child around", "child", [0.8, 8], 32),
+            asked("post behind", POST, [0.3, 2], 22, sector_deg=[150, 210], lost=1),
         ],
         [*both("helios-32", 3.7, 1.4, 0.9), *both("helios-32", -3.7, 1.4, 0.9)],
     ),
