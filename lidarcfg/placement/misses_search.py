@@ -147,8 +147,7 @@ class MissesRun(SearchRun):
         """The result: the best rig, or if that is better at fresh places the best plain one. Raises as SearchRun."""
         if self._midpoint is None or self.best_cost.shortfall > 0:
             return super().placement(interrupted, verdict)
-        believed = self.best_cost.objective
-        self.best_x = self._chosen()
+        self.best_x, believed, places = self._chosen()
         rivals = self._rivals()
         objective, *others = self._fresh_objectives(np.concatenate([self.best_x[None], rivals]))
         plain = None
@@ -161,24 +160,27 @@ class MissesRun(SearchRun):
                 objective = others[best]
                 remarks = (NO_BETTER,)
         found = super().placement(interrupted, verdict)
-        told = Believed(believed, self.places, plain, self._midpoint)
+        told = Believed(believed, places, plain, self._midpoint)
         return replace(found, objective=objective, believed=told, remarks=remarks)
 
-    def _chosen(self) -> Array:
-        """(dimensions,) the best of the best rig and those that are searched around, by more places than before."""
+    def _chosen(self) -> tuple[Array, float, int]:
+        """The best of the best rig (dimensions,) and those that are searched around, by more places than before.
+
+        Its objective there, and how many places these are.
+        """
+        best, least = self.best_x, self.best_cost.objective
         if self.places >= CHOSEN_AT:
-            return self.best_x
-        points = np.unique(np.concatenate([self.best_x[None], self._search.sources]), axis=0)
+            return best, least, self.places
+        points = np.unique(np.concatenate([best[None], self._search.sources]), axis=0)
         points = points[self.study.violation(self.study.poses(points)) == 0.0]
-        best = self.best_x
-        least = np.full(1, np.inf)
+        least = np.inf
         with StudyEvaluator(self.study, 1, places=CHOSEN_AT) as evaluator:
             for x in points:
                 poses = self.study.poses(x[None])
-                cost = evaluator.costs(poses, np.zeros(1, np.int64), poses, least)
+                [cost] = evaluator.costs(poses, np.zeros(1, np.int64), poses, np.full(1, least))
                 if cost < least:
-                    best, least = x, cost
-        return best
+                    best, least = x, float(cost)
+        return best, least, CHOSEN_AT
 
     def _rivals(self) -> Array:
         """(n, dimensions) the rigs given and the best plain ones, than which the result is no worse."""

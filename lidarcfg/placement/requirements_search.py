@@ -66,7 +66,7 @@ LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the en
 FIRST_LEFT = 0.1  # as long as it is not known how long that takes
 MANY = 0.05  # of the places of trials: a requirement that is missed at more is searched at drawn places, too
 DRAWN_FIRST = 256  # places
-DRAWN_MOST = 4096
+DRAWN_MOST = 1024
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
 
 
@@ -412,9 +412,9 @@ class RequirementsRun(MissesRun):
         """As of MissesRun, once anything else is minimised."""
         return super()._may_double and self._minimises
 
-    def _chosen(self) -> Array:
+    def _chosen(self) -> tuple[Array, float, int]:
         """The best rig: others need not meet the requirements."""
-        return self.best_x
+        return self.best_x, self.best_cost.objective, self.places
 
     def _rivals(self) -> Array:
         """None: a plain rig need not meet the requirements."""

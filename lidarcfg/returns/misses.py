@@ -109,22 +109,22 @@ class MissesFound:
     @property
     def mean(self) -> float:
         """Misses: the weighted mean over objects."""
-        return float(self.weights @ [one.share for one in self.objects])
+        return math.fsum(self.weights * [one.share for one in self.objects])
 
     @property
     def interval(self) -> Interval:
         """The interval of 95 % of the mean, from those of the objects (Zou and Donner 2008)."""
         share = np.array([one.share for one in self.objects])
         low, high = np.array([one.interval for one in self.objects]).T
-        below = float(np.linalg.norm(self.weights * (share - low)))
-        above = float(np.linalg.norm(self.weights * (high - share)))
+        below = math.hypot(*(self.weights * (share - low)))
+        above = math.hypot(*(self.weights * (high - share)))
         return max(self.mean - below, 0.0), min(self.mean + above, 1.0)
 
     def compared(self, other: "MissesFound") -> tuple[float, float]:
         """How much less is missed than by another rig at the same places, and the standard error of that."""
         change = [b.probability - a.probability for a, b in zip(self.objects, other.objects, strict=True)]
         variance = np.array([np.var(one, ddof=1) / len(one) for one in change])
-        return other.mean - self.mean, math.sqrt(float(self.weights**2 @ variance))
+        return other.mean - self.mean, math.sqrt(math.fsum(self.weights**2 * variance))
 
     def to_dict(self) -> dict[str, Any]:
         """As a JSON object."""

@@ -152,7 +152,9 @@ def test_what_a_rig_made_by_hand_meets_is_found_for_its_price(name, folder):
 
 def test_what_has_no_rig_yet_is_searched_on(folder):
     """With plain rigs alone, none of which keeps the constraints, it misses these, and nothing is proved."""
-    values = BARS | {"region": REGION, "solver": {"evaluations": 1}}
+    body, *bars = BARS["vehicle"]["boxes"]
+    boxes = [body, *(bar | {"size_m": [0.56, 0.2, 0.3]} for bar in bars)]
+    values = BARS | {"vehicle": {"boxes": boxes}, "region": REGION, "solver": {"evaluations": 1}}
     (folder / "study.yaml").write_text(yaml.safe_dump(values))
     found = cheapest(load_study(folder / "study.yaml"), threads=2)
     roof = next(one for one in found.tried if one.price == 4000)

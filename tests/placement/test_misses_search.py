@@ -84,10 +84,10 @@ def test_places_double_while_they_do_not_tell_rigs_apart(tmp_path, monkeypatch):
     """And what it believes of its best rig is what is missed there; the result's value is that at fresh places."""
     loaded = study(tmp_path)
     doubled_soon(monkeypatch, 10**6)
-    assert optimize(loaded).believed.places == 64
+    assert optimize(loaded).believed.places == 1024  # the best of the last rigs is chosen there
     doubled_soon(monkeypatch)
     found = optimize(loaded)
-    assert found.believed.places in (128, 256, 512, 1024, 2048, 4096)
+    assert found.believed.places in (1024, 2048, 4096)
     assert found.remarks == ()
     known = loaded.misses.known(found.believed.places)
     assert found.believed.objective == pytest.approx(loaded.misses.found_at(known, found.rig.mounts).mean, rel=1e-12)
@@ -124,6 +124,7 @@ solver: {method: auto, evaluations: 60, seed: 2}
 def test_where_a_plain_rig_is_the_best_it_is_the_result(tmp_path, monkeypatch):
     """A sensor over the middle of a small body is best upright. A search at few places finds tilts that suit these."""
     monkeypatch.setattr(misses_search, "SEARCH_PLACES", 8)
+    monkeypatch.setattr(misses_search, "CHOSEN_AT", 8)
     doubled_soon(monkeypatch, 10**6)
     loaded = study(tmp_path, "objective: {misses: {objects: {tyre: 1}, within_m: [0.1, 7]}}\n", FLAT)
     found = optimize(loaded)
@@ -174,8 +175,8 @@ def test_a_rig_that_breaks_a_constraint_never_wins(tmp_path, monkeypatch):
     """Though without constraints a rig that breaks them does."""
     doubled_soon(monkeypatch)
     free = optimize(study(tmp_path)).rig
-    apart_m = math.dist(*(one.position_m for one in free.mounts)) + 0.1
-    most_deg = max(tilt_deg(one.rpy_rad) for one in free.mounts) / 2
+    apart_m = math.dist(*(one.position_m for one in free.mounts)) + 0.05
+    most_deg = 10
     loaded = study(tmp_path, MISSES + f"constraints: {{max_tilt_deg: {most_deg}, min_distance_m: {apart_m}}}\n")
     found = optimize(loaded)
     rigs = [found.rig, found.believed.plain.rig] if found.believed.plain else [found.rig]
