@@ -212,7 +212,8 @@ def test_a_resumed_search_ends_the_same(study):
 
 
 @pytest.mark.parametrize("returns", [60, 600])
-def test_no_result_is_worse_than_the_best_plain_rig(study, returns):
+def test_where_plain_rigs_pass_the_result_does_and_else_it_is_no_worse_than_the_best_of_them(study, returns):
+    """Of those that pass it is no worse than one: the best may fail at refined places, and not all are verified."""
     text = CRATES.replace("[0.5, 0.5, 1]", "[1, 1, 1]").replace("[1, 2]", "[1, 2.5]")
     one = study(text, returns=returns, lost=0, more="")
     points = plain_points(one)
@@ -232,9 +233,9 @@ def test_no_result_is_worse_than_the_best_plain_rig(study, returns):
     assert bool(passing) == (returns == 60)
     at = np.array([[*mount.position_m, *mount.rpy_rad] for mount in found.rig.mounts])[None]
     with RequirementsEvaluator(one, 1) as evaluator:
-        assert evaluator.costs(at, np.zeros(1, np.int64), at, unbounded(1))[0].tolist() <= min(
-            passing or costs.tolist()
-        )
+        cost = evaluator.costs(at, np.zeros(1, np.int64), at, unbounded(1))[0].tolist()
+    assert cost <= (max(passing) if passing else min(costs.tolist()))
+    assert found.verdict.passed == bool(passing)
 
 
 def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
