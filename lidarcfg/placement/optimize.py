@@ -49,8 +49,8 @@ def optimize(
     dimensions = int(study.free.sum())
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
-    run = search_run(study, log, plain, starts)
     budget = Budget.of(study.solver)
+    run = search_run(study, log, plain, starts)
     interrupted = False
     with run.evaluator(threads, skip, on_evaluations) as evaluator:
         try:

@@ -238,6 +238,39 @@ def test_where_plain_rigs_pass_the_result_does_and_else_it_is_no_worse_than_the_
     assert found.verdict.passed == bool(passing)
 
 
+def test_the_first_rig_that_meets_all_is_verified_at_once(study, monkeypatch):
+    """By what was told: at the end of its batch; and until a rig passes, all that meet cost the same, nothing."""
+    monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_PLACES", 12)
+    one = study(CRATES.replace("150", "500"), returns=130, lost=0, more="")
+    found = optimize(one, threads=2)
+    checks = found.log.checks
+    met = np.flatnonzero(found.log.cost[:, 0] == 0)
+    batches = [0, *np.minimum([2, 2 + 6, 8 + 24, 32 + 96], len(found.log.points)).tolist()]
+    batches += range(batches[-1] + 16, len(found.log.cost) + 1, 16)  # of annealing's 16 chains
+    assert checks[0].told == next(end for end in batches if end > met[0])
+    passed = [check.passed for check in checks]
+    assert passed[0] is False
+    assert any(passed)
+    until = checks[passed.index(True)].told
+    assert (found.log.cost[met[met < until], 1] == 0).all()
+    assert (found.log.cost[met[met >= until], 1] > 0).all()
+    assert found.verdict.passed
+
+
+def test_what_was_verified_is_not_verified_again(study, monkeypatch):
+    """A resumed search goes by its log: it verifies what the first part did not, and the rig that it ends with."""
+    monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_PLACES", 12)
+    one = study(CRATES.replace("150", "500"), returns=130, lost=0, more="")
+    begun = optimize(one, threads=2)
+    verified = []
+    verify = Verifier.verify
+    monkeypatch.setattr(Verifier, "verify", lambda self, mounts: verified.append(mounts) or verify(self, mounts))
+    resumed = optimize(one, threads=2, log=begun.log)
+    assert resumed.rig == begun.rig
+    assert [check.told for check in resumed.log.checks] == [check.told for check in begun.log.checks]
+    assert len(verified) <= 1
+
+
 def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
     """As after a pause: rigs that meet all, each beside one that misses hardly more."""
     text = CRATES.replace("[0.5, 0.5, 1]", "[1, 1, 1]").replace("[1, 2]", "[1, 2.5]")
