@@ -1,9 +1,9 @@
 """The cheapest rig that meets all requirements: combination after combination, the cheapest first.
 
 First the plain rigs of all combinations are screened, the cheapest first, which takes as long as a few evaluations
-each. One that meets all at the places of trials is verified at once; where it fails, the worst places join those of all
-that follow, and its combination has a turn. The first that passes is the cheapest so far: a combination that contains
-it costs more, and needs no look.
+each. One that meets all at the places of trials is verified at once, up to TRIES of a combination; where it fails, the
+worst places join those of all that follow. The first that passes is the cheapest so far: a combination that contains it
+costs more, and needs no look.
 
 Then the cheaper combinations are searched, those that come closest first, each from its plain rigs and from rigs of
 others that fit: of the verified one without some of its sensors, and of the closest. What is closest is told by the
@@ -42,8 +42,9 @@ from lidarcfg.sensors.rig import Rig
 
 CONSTRAINTS = "the constraints"  # which a combination misses as long as no rig of it that was tried keeps them
 TOO_DEAR = "too dear"
-FIRST = 250  # evaluations of a combination's first turn
-GROWTH = 4
+TRIES = 3
+FIRST = 120  # evaluations of a combination's first turn
+GROWTH = 3
 ESTIMATED = 1000  # combinations at most, of which it is estimated how long screening them takes
 NEAREST = 16  # combinations that have a turn at a time
 POINTS = 12  # plain rigs at which a combination's search begins
@@ -199,6 +200,7 @@ class CheapestRun:
         self.excluded = dict.fromkeys(dear, TOO_DEAR)  # why no rig of an option can meet all
         self._given = starting_options(self.options, rigs)
         self._screen = Screen(asked)
+        self._verifier = Verifier(asked)  # keeps the counts of sensors that combinations have in common
         self._places: dict[int, Array] = {}  # at which rigs failed that were tried
         self._rigs: dict[int, Rigs] = {}  # of the options looked at
         self.efforts: dict[int, Effort] = {}
@@ -288,8 +290,7 @@ class CheapestRun:
                 self._screened(number, np.array([*given, *plain_points(self._study_of(number))]))
                 if self.sweep_s is None and casts:
                     self.sweep_s = (time.perf_counter() - began) * sum(casts) / casts[0]
-                if self._try(number) and number < self.cheaper and not self._is_spent():
-                    self._do_round([number])  # it met all where trials look: little is missing
+                self._try(number)
                 self._say(f"plain rigs of {self.options[number].name}")
         self.done = 1.0
 
@@ -310,13 +311,13 @@ class CheapestRun:
         """Rank the rigs of a combination at some points."""
         self._rigs[number] = Rigs(*self._screen.ranked(self._study_of(number), points))
 
-    def _try(self, number: int) -> bool:
-        """Verify the rigs of a combination that meet all at the places of trials, until one passes or none is left.
+    def _try(self, number: int) -> None:
+        """Verify some rigs of a combination that meet all at the places of trials, until one passes.
 
-        The one with the largest margin comes first. Returns whether there were any.
+        The one with the largest margin comes first.
         """
         tried: set[bytes] = set()
-        while number < self.cheaper and not (tried and self._is_spent()):
+        while number < self.cheaper and len(tried) < TRIES and not (tried and self._is_spent()):
             rigs = self._rigs[number]
             met = [x for x, worst in zip(rigs.points, rigs.found.worst, strict=True) if worst <= 0]
             x = next((x for x in met if x.tobytes() not in tried), None)
@@ -324,7 +325,7 @@ class CheapestRun:
                 break
             tried.add(x.tobytes())
             began = time.perf_counter()
-            effort = effort_of(self._job(number, Log.empty(x[None]), 0), self._threads)
+            effort = effort_of(self._job(number, Log.empty(x[None]), 0), self._threads, self._verifier)
             self._verify_s = max(self._verify_s, time.perf_counter() - began)
             if isinstance(effort, str) or math.isinf(effort.worst):  # it breaks the constraints
                 continue
@@ -333,7 +334,6 @@ class CheapestRun:
                 self._screen.add_places({n: some[len(self._places.get(n, ())) :] for n, some in effort.places.items()})
                 self._places = dict(effort.places)
                 self._screened(number, rigs.points)
-        return bool(tried)
 
     def _keep(self, number: int, effort: Effort) -> None:
         """Keep the effort of an option; of a try, if it is the better one."""
@@ -391,7 +391,7 @@ class CheapestRun:
             if n >= self.cheaper:
                 continue
             if not self._workers and not self._is_spent():
-                ended(n, effort_of(self._now(job), self._threads))
+                ended(n, effort_of(self._now(job), self._threads, self._verifier))
             if n in found:
                 self._take(n, found[n])
                 self._say(f"searched {self.options[n].name}")
@@ -445,7 +445,9 @@ class CheapestRun:
             best = min(numbers, key=lambda n: (self._worst(n), n))
             if best in self.efforts and math.isfinite(self.efforts[best].worst):
                 return best
-            effort = effort_of(self._job(best, Log.empty(self._rigs[best].points[:POINTS]), 0), self._threads)
+            effort = effort_of(
+                self._job(best, Log.empty(self._rigs[best].points[:POINTS]), 0), self._threads, self._verifier
+            )
             if isinstance(effort, Effort) and math.isfinite(effort.worst):
                 self.efforts[best] = effort
             else:
@@ -462,7 +464,7 @@ class CheapestRun:
         combination = self.options[best].combination
         effort = self.efforts[best]
         if effort.verdict is None:  # of one that misses requirements, or was resumed
-            effort = replace(effort, verdict=verdict_of(combination.study, effort.x))
+            effort = replace(effort, verdict=self._verdict_on(combination.study, effort.x))
         seconds = time.perf_counter() - self._began
         return Cheapest(
             combination=combination,
@@ -476,6 +478,10 @@ class CheapestRun:
             interrupted=interrupted,
             log=self.log(),
         )
+
+    def _verdict_on(self, study: Study, x: Array) -> Verdict:
+        """The verdict on the rig at a point (free coordinates,) of a combination."""
+        return self._verifier.verify(study.rig(study.poses(x[None])[0]).mounts)
 
     def _tried(self, number: int) -> SearchedCombination:
         option = self.options[number]
@@ -504,16 +510,16 @@ def work(content: bytes, theirs: dict[str, str]) -> Effort | str:
     return effort_of(pickle.loads(content), 1)
 
 
-def effort_of(job: Job, threads: int | None = None) -> Effort | str:
+def effort_of(job: Job, threads: int | None = None, verifier: Verifier | None = None) -> Effort | str:
     """Continue a combination's search to a number of evaluations, or until a rig meets all requirements.
 
-    Or why there is nothing to search: none can meet all.
+    `verifier`, of the same requirements, may be shared. Or why there is nothing to search: none can meet all.
     """
     study = job.study
     if job.excludes:
         for name, why in unachievable(study).items():
             return f"{name}: {why}"
-    run = RequirementsRun(study, job.log, job.places)
+    run = RequirementsRun(study, job.log, job.places, verifier)
     budget = Budget(max(job.evaluations, 1), None, job.seconds, time.perf_counter() + job.seconds)
     with run.evaluator(threads, job.skip) as evaluator:
         while not (run.is_over(budget) or run.is_verified or (run.history and not job.evaluations)):
@@ -556,12 +562,6 @@ def _without_rig(job: Job, run: RequirementsRun) -> Effort:
         failing=(CONSTRAINTS,),
         meets=False,
     )
-
-
-def verdict_of(study: Study, x: Array) -> Verdict:
-    """The verdict on the rig at a point (free coordinates,) of a study with requirements."""
-    assert study.requirements
-    return Verifier(study.requirements).verify(study.rig(study.poses(x[None])[0]).mounts)
 
 
 def _placement(study: Study, effort: Effort, threads: int | None, skip: bool, interrupted: bool) -> Placement:

@@ -196,15 +196,16 @@ class Verified:
 class RequirementsRun(MissesRun):
     """A search for a rig that meets requirements; see SearchRun."""
 
-    def __init__(self, study: Study, log: Log, places: Places | None = None) -> None:
+    def __init__(self, study: Study, log: Log, places: Places | None = None, verifier: Verifier | None = None) -> None:
         """It begins with the points of the log, or without any with the midpoint.
 
-        `places`: those that count from the beginning, besides the requirements' own.
+        `places`: those that count from the beginning, besides the requirements' own. `verifier`: one to share.
         """
         assert study.requirements
         super().__init__(study, log)
         self._candidates = self._first_points
         self._requirements = study.requirements
+        self._shared = verifier
         self._recorded = {check.told: check for check in log.checks}
         self._checks: list[Check] = []
         self._verify_s = 0.0  # the longest time that it took
@@ -219,7 +220,7 @@ class RequirementsRun(MissesRun):
 
     @cached_property
     def _verifier(self) -> Verifier:
-        return Verifier(self._requirements)
+        return self._shared or Verifier(self._requirements)
 
     @property
     def is_verified(self) -> bool:
