@@ -41,7 +41,8 @@ def verify(
     """Verify that a rig meets the study's requirements.
 
     Prints PASS or FAIL for each requirement, with its margin, the worst place, and the sensors lost there. Places are
-    tried on a grid, and more closely around the lowest counts. Exits with 0 if all requirements are met, else with 3.
+    tried on a grid, more closely around the lowest counts, and in narrow shadows of the vehicle's bodies. Exits with 0
+    if all requirements are met, else with 3.
     """
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")

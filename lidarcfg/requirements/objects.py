@@ -26,7 +26,7 @@ from lidarcfg.world.tracer import Obstacles
 
 LOWEST = 256  # places, around which others are tried
 REFINED_WORK = 4  # of a refined place, by that of one of the base grid: they lie where it takes long to count
-LOWEST_SHADOWED = 64  # of those in narrow shadows
+LOWEST_SHADOWED = 32  # of those in narrow shadows
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then

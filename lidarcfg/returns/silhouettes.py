@@ -21,8 +21,8 @@ from lidarcfg.world.scene_file import Cylinder, Sphere
 from lidarcfg.world.solids import merge_vertices
 from lidarcfg.world.tracer import CYLINDER, SPHERE, TRIANGLE, Obstacles
 
-ROUND_M = 1e-3  # tolerance of the facets that stand for spheres and cylinders
-GRID_M = 1e-4  # to which shadows are rounded, so that lines meet
+ROUND_M = 1e-4  # tolerance of the facets that stand for spheres and cylinders
+GRID_M = 1e-4  # to which shadows are rounded, so that lines meet, and last places of arcs do not count
 CORE = 0.9  # of an object's width and height, that must be hidden: few beams hit its edges
 HORIZON = (
     1e-5  # of the height between a plane and a sensor: what is no farther from the sensor's throws endless shadows
