@@ -43,7 +43,7 @@ def evaluate(
     baseline: Path | None,
     quiet: bool,
 ) -> None:
-    """Evaluate a rig: misses, max VSR, worst subspaces, detection rates.
+    """Evaluate a rig: misses, max VSR, worst subspaces.
 
     The study's bounds on the poses are not enforced. The cuboids' faces overestimate the surface of a subspace;
     --tolerance refines them until the max VSR of the smooth subspaces is known to this relative error.

@@ -36,7 +36,7 @@ def test_the_cheapest_rig(tmp_path, blank_pictures):
     assert {row["verdict"] for row in rows} == {"cannot meet all"}
     assert [(row["left"], row["right"], row["price"]) for row in rows][:2] == [
         ("1 × vlp-16", "none", "4000"),
-        ("1 × vlp-32c", "none", "7000"),
+        ("none", "1 × vlp-16", "4000"),
     ]
 
 

@@ -254,7 +254,7 @@ def test_a_cluster_finds_the_cheapest_rig(cluster, tmp_path):
         one.position_m for one in alone.placement.rig.mounts
     ]
     with open(tmp_path / "out/combinations.csv", newline="") as file:
-        assert [row["combination"] for row in csv.DictReader(file)] == [one.name for one in alone.tried]
+        assert [row["name"] for row in csv.DictReader(file)] == [one.name for one in alone.tried]
 
 
 def _clients(dask_scheduler):
