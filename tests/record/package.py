@@ -28,7 +28,7 @@ from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.front import front
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.solvers.annealing import Annealing
-from lidarcfg.placement.solvers.search import Coordinates
+from lidarcfg.placement.solvers.search import Coordinates, of_objectives
 from lidarcfg.placement.study import with_solver
 from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.subspace import seen_cuboids, segment
@@ -66,6 +66,7 @@ __all__ = [
     "load_scene",
     "load_study",
     "load_vehicle",
+    "of_objectives",
     "optimize",
     "packets",
     "pattern",

@@ -220,7 +220,7 @@ def test_only_the_best_population_ends_a_round(smoothing):
     assert {chains for progress, chains in seen if progress >= 0.72} == {16}
 
 
-@pytest.mark.parametrize(("start", "hot"), [(None, 0.03), (np.full(6, 0.5), 0.004)])
+@pytest.mark.parametrize(("start", "hot"), [(None, 0.03), (np.full((1, 6), 0.5), 0.004)])
 def test_it_cools_evenly_by_a_chain_s_work_to_half_a_thousandth(start, hot):
     """A trial is 1, and 10 more if it is taken."""
     run = Annealing(COORDINATES, np.random.default_rng(1), 100_000, start)
@@ -243,7 +243,7 @@ def test_it_cools_evenly_by_a_chain_s_work_to_half_a_thousandth(start, hot):
 
 
 def test_a_run_from_a_point_has_all_of_its_chains_there():
-    start = np.linspace(0.1, 0.9, 6)
+    start = np.linspace(0.1, 0.9, 6)[None]
     run = Annealing(COORDINATES, np.random.default_rng(3), 50_000, start)
     assert np.array_equal(run.ask().x, np.tile(start, (16, 1)))
 
@@ -280,7 +280,7 @@ def test_rounds_become_longer_and_the_best_end_so_far_is_refined(monkeypatch):
 
 
 def test_a_given_point_is_refined_before_the_first_round():
-    start = np.array([0.25, 0.75])
+    start = np.array([[0.25, 0.75]])
     solver = AnnealingRounds(PAIR, 1, start)
     assert np.array_equal(solver.ask().x, np.tile(start, (16, 1)))
     runs = works(solver, 2, (5.0, 6.0))
