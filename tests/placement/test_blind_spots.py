@@ -215,6 +215,7 @@ def test_the_shadow_of_a_plate_has_the_volume_of_a_frustum(tmp_path):
     text = """
 region: {min_m: [0.2, -2, -2], max_m: [4, 2, 2], cuboid_m: [0.05, 0.05, 0.05]}
 vehicle: {planes: [{name: plate, center_m: [1, 0, 0], size_m: [0.6, 0.8], rpy_deg: [0, 90, 0]}]}
+objective: {max_vsr: 1}
 sensors: [{elevation_deg: [0], min: {position_m: [0, 0, 0], rpy_deg: [0, 0, 0]}, max: {position_m: [0, 0, 0], rpy_deg: [0, 0, 0]}}]
 """
     (tmp_path / "p.yaml").write_text(text)
