@@ -258,7 +258,7 @@ def test_the_first_rig_that_meets_all_is_verified_at_once(study, monkeypatch):
 
 
 def test_what_was_verified_is_not_verified_again(study, monkeypatch):
-    """A resumed search goes by its log: it verifies what the first part did not, and the rig that it ends with."""
+    """A resumed search goes by its log: it verifies its best rig, and where that fails the one that it ends with."""
     monkeypatch.setattr("lidarcfg.requirements.objects.TRIAL_PLACES", 12)
     one = study(CRATES.replace("150", "500"), returns=130, lost=0, more="")
     begun = optimize(one, threads=2)
@@ -268,7 +268,7 @@ def test_what_was_verified_is_not_verified_again(study, monkeypatch):
     resumed = optimize(one, threads=2, log=begun.log)
     assert resumed.rig == begun.rig
     assert [check.told for check in resumed.log.checks] == [check.told for check in begun.log.checks]
-    assert len(verified) <= 1
+    assert len(verified) <= 2
 
 
 def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
