@@ -31,6 +31,11 @@ class PointsFirst(Best):
         self.best_x = points[0]
 
     @property
+    def tries_points(self) -> bool:
+        """Whether points are left to try."""
+        return self._search is None
+
+    @property
     def costs(self) -> Array:
         """(points, 2) the costs of the points; (inf, inf): of one not tried yet, or no better than others."""
         return np.concatenate([self._known, unbounded(len(self.points) - len(self._known))])

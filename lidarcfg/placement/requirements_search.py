@@ -4,8 +4,8 @@ Only the base grid's places count in trials; of a large grid, at first some that
 that meets all of these is verified at once, at all places of the grid and at refined ones. Where it fails, the worst of
 these join the set, and the search starts anew. A requirement that the best rig misses at many places is searched at
 ever more drawn places as well, lest rigs suit the grid alone. Nothing else is minimised before a rig is verified. Then
-the objective is, and the best rig is verified from time to time and at the end. A log says what was verified and drawn
-when, so a search that is resumed does the same.
+the objective is, and the best rig is verified once all that the search starts from is compared, from time to time and
+at the end. A log says what was verified and drawn when, so a search that is resumed does the same.
 
 The shortfall of a rig is the sum of those of its requirements; that of one that violates constraints is INFEASIBLE or
 more, which no sum reaches. With neither an objective nor a vehicle nothing but requirements counts, and a search ends
@@ -332,6 +332,8 @@ class RequirementsRun(MissesRun):
             return False
         if not self._minimises:
             return True
+        if isinstance(self._search, PointsFirst) and self._search.tries_points:
+            return False
         return self.evaluations >= self._next_check and self._has_time(budget)
 
     def _drawn(self) -> Check | None:
@@ -375,14 +377,17 @@ class RequirementsRun(MissesRun):
         if check.passed:
             verdict = self._judged[1] if self._judged and self._is_best_judged else None
             self._verified = Verified(self.best_x.copy(), self.best_cost, verdict)
-            self._schedule(2 * self._interval)
+            self._interval *= 2
+            self._next_check = self.evaluations + self._interval
             if not self._minimises:
                 self._minimises = True
                 self._find_midpoint()
                 self._restart(evaluator)
                 self._verified = replace(self._verified, cost=self.best_cost)
+                self._next_check = self.evaluations  # once all that it starts from is compared
             return
-        self._schedule(CHECK_EVERY)
+        self._interval = CHECK_EVERY
+        self._next_check = self.evaluations
         for number, places in check.places.items():
             if check.drawn:
                 self._draws[number] = self._draws.get(number, 0) + len(places)
@@ -420,10 +425,6 @@ class RequirementsRun(MissesRun):
     def _rivals(self) -> Array:
         """None: a plain rig need not meet the requirements."""
         return self._first_points[:0]
-
-    def _schedule(self, interval: int) -> None:
-        self._interval = interval
-        self._next_check = self.evaluations + interval
 
     def _missed(self, look: Callable[[ObjectJudge, Sequence[Mount]], Array]) -> dict[int, Array]:
         """Places that trials leave out and at which the best rig fails, of the first requirement that has any."""
@@ -471,7 +472,7 @@ class RequirementsRun(MissesRun):
             verdict = self._verified.verdict or self.verdict_on(self.best_x)
         if self._more_places:
             places = sum(len(one) for one in self._more_places.values())
-            remarks.append(f"{places} places joined those that count in a search, as rigs failed there")
+            remarks.append(f"{places} places joined those that count in a search, as rigs failed there or at many others")
         self._find_midpoint()
         found = super().placement(interrupted, _with_reasons(self.study, verdict))
         objective = found.objective
