@@ -147,12 +147,12 @@ def test_the_objective_is_one_minus_the_rate_and_refutes_exactly(tmp_path, name)
     value = loaded.cost(poses)
     assert value == 1.0 - evaluate(loaded, loaded.rig(poses)).detection[name].rate
     one = next(one for one in loaded.detection_targets if one.item.name == name)
-    scanners = loaded.scanners(loaded.rig(poses).mounts)
     lidars = loaded.lidars(poses)
     numbers = range(len(lidars))
+    counter = MissCounter(one, loaded.rig(poses).mounts, loaded.obstacles)
     at = sensor_poses(lidars)
     for limit in (0.2 * value, value, np.nextafter(value, 0), np.nextafter(value, 1), 1.5 * value):
-        found = MissCounter(one, scanners, loaded.obstacles).rate(numbers, at, limit)
+        found = counter.rate(numbers, at, limit)
         assert found >= limit if value >= limit else found == value
         trial = Trial(loaded.region, lidars, loaded.visibility)
         assert loaded.criterion().of(trial, limit) == (math.inf if value >= limit else value)
@@ -171,7 +171,7 @@ def test_a_limit_that_no_rate_reaches_refutes_nothing(tmp_path, name, limit):
     scanners = loaded.scanners(rig.mounts)
     lidars = rig_lidars(rig)
     (seen,) = return_counts([one], scanners, lidars, loaded.obstacles)
-    counter = MissCounter(one, scanners, loaded.obstacles)
+    counter = MissCounter(one, rig.mounts, loaded.obstacles)
     found = counter.rate(range(len(lidars)), sensor_poses(lidars), limit)
     assert 0 < found < 1
     assert found == 1.0 - seen.detection.rate
