@@ -472,7 +472,7 @@ class RequirementsRun(MissesRun):
             verdict = self._verified.verdict or self.verdict_on(self.best_x)
         if self._more_places:
             places = sum(len(one) for one in self._more_places.values())
-            remarks.append(f"{places} places joined those that count in a search, as rigs failed there or at many others")
+            remarks.append(f"{places} places joined those that count in a search, as rigs failed")
         self._find_midpoint()
         found = super().placement(interrupted, _with_reasons(self.study, verdict))
         objective = found.objective
