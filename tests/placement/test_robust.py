@@ -79,7 +79,13 @@ def test_of_both_the_larger_counts(tmp_path):
         assert both.cost(poses) == max(lost.cost(poses), off.cost(poses))
 
 
-MAX_VSR = ["robust: {lost: 1}\n", "robust: {lost: 2}\n" + ZONES, TOLERANCES, BOTH + ZONES + BODY, ZONES]
+MAX_VSR = [
+    "robust: {lost: 1}\n",
+    "robust: {lost: 2}\n" + ZONES,
+    TOLERANCES,
+    BOTH + ZONES + BODY + "objective: {max_vsr: 1}\n",
+    ZONES,
+]
 WEIGHTED = [
     "robust: {lost: 1}\nobjective: {max_vsr: 1, inscribed_radius: 0.2, detection: {box: 0.1}}\n" + OBJECTS,
     BOTH + ZONES + "objective: {max_vsr: 1, detection: {box: 0.5}}\n" + OBJECTS,
