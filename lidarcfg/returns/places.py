@@ -232,7 +232,7 @@ class Stand:
             missing -= len(found[-1])
             if not missing:
                 return np.concatenate(found)
-        raise ConfigError("hardly a place in the zone is free; widen it")
+        raise ConfigError("hardly a place in the zone is free; widen within_m or sector_deg")
 
     def _lattice(self, low: Array, high: Array, step_m: float) -> Array:
         """(n, 2) positions of a grid from low to high; it goes through the box's middle, or the vehicle's origin."""

@@ -28,6 +28,7 @@ STUDY = """
 region: {min_m: [0, 0, 0], max_m: [10, 4, 2], cuboid_m: [0.5, 0.5, 0.5]}
 sensors:
   - {elevation_deg: [-20, 0, 20], min: {position_m: [1, 2, 1], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 2, 1], rpy_deg: [0, 0, 0]}}
+objective: {max_vsr: 1}
 """
 PLATE = "vehicle: {boxes: [{name: plate, center_m: [4, 2, 1], size_m: [0.1, 1, 9]}]}\n"
 
@@ -229,7 +230,7 @@ def test_ground_hides_what_is_below_it_and_what_moves_hides_nothing(tmp_path):
     (seen,) = seen_cuboids(loaded.region, rig_lidars(rig), loaded.visibility.sight(rig_lidars(rig)))
     assert np.array_equal(seen, centres[..., 2] >= 0.75)  # centres on the ground are seen
     assert loaded.file["surroundings"] == str(tmp_path / "yard.yaml")
-    with pytest.raises(ConfigError, match=r"study\.yaml:5:1: surroundings: .*none\.yaml: no such file"):
+    with pytest.raises(ConfigError, match=r"study\.yaml:6:1: surroundings: .*none\.yaml: no such file"):
         study(tmp_path, STUDY + "surroundings: none.yaml\n")
 
 

@@ -10,7 +10,8 @@ import shapely
 from scipy.stats import binomtest, chisquare
 from shapely import affinity
 
-from lidarcfg.returns.misses import DRAWN_AT_A_TIME, FRESH, SEARCH, MissesFound, ObjectMisses
+from lidarcfg.returns.misses import FRESH, SEARCH, MissesFound, ObjectMisses
+from lidarcfg.returns.places import DRAWN_AT_A_TIME
 from lidarcfg.world.meshes import read_mesh
 from tests.command_line import lidarcfg
 from tests.naive import misses as naive
