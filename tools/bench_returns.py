@@ -20,7 +20,7 @@ from page import ROOT, machine, table
 from lidarcfg.geometry import rotations
 from lidarcfg.placement.cones import poses, rig_lidars
 from lidarcfg.placement.misses_search import MissesRun
-from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.optimize import optimize, search_run
 from lidarcfg.placement.search_run import Budget
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.returns.counts import returns
@@ -142,7 +142,8 @@ def missing(study: Study) -> list[tuple[str, str]]:
         known.misses(rig, misses.weights, misses.returns)
     rows.append(("evaluations a second, the kernel alone", f"{MOVES / (time.process_time() - begun):,.0f}"))
     searched = with_solver(study, method="auto", evaluations=MOVES, seed=1)
-    run = MissesRun(searched)
+    run = search_run(searched)
+    assert isinstance(run, MissesRun)
     budget = Budget.of(searched.solver)
     with run.evaluator(1) as evaluator:
         begun = time.process_time()
