@@ -75,9 +75,18 @@ def search_run(
     if study.requirements:
         return RequirementsRun(study, log)
     if study.objective.misses:
+        _check_firing(study)
         return MissesRun(study, log)
     first = start_search(study.solver, study.coordinates) if log.points is None else PointsFirst(study, log.points)
     return SearchRun(study, first, log)
+
+
+def _check_firing(study: Study) -> None:
+    """Check that it is known when the sensors fire. Raises ConfigError."""
+    try:
+        study.scanners(study.rig(study.midpoint).mounts)
+    except ConfigError as error:
+        raise ConfigError(f"{error}; or give the study objective: {{max_vsr: 1}}") from None
 
 
 def place(study: Study, threads: int | None = None) -> Rig:

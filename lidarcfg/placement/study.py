@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from lidarcfg import core, maths
 from lidarcfg.config.models import NAME_MAX, Given, error_at, errors_at, load_or_check, whole_values
-from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.cones import Lidar, placed, rig_lidars
@@ -394,20 +393,12 @@ def study_of(file: StudyFile, path: Path) -> Study:
         misses=_misses(file, bodies, seen, region, path),
         file=_resolved(file, found, slots.slots, choices, path),
     )
-    if detection_targets or study.objective.misses:
-        _check_firing(study, slots, path)
+    if detection_targets:
+        for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
+            for sensor in [choice.sensor for choice in slot.choices if choice] or [slot.sensor]:
+                with errors_at(path, "sensors", number):
+                    study.scanners([replace(mount, sensor=sensor)])
     return study
-
-
-def _check_firing(study: Study, slots: Slots, path: Path) -> None:
-    """Check that returns can be counted for all sensors, and all models to choose from."""
-    otherwise = "; or give objective: {max_vsr: 1}" if study.objective.is_misses else ""
-    for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
-        for sensor in [choice.sensor for choice in slot.choices if choice] or [slot.sensor]:
-            try:
-                study.scanners([replace(mount, sensor=sensor)])
-            except ConfigError as error:
-                raise error_at(path, ("sensors", number), f"{error}{otherwise}") from None
 
 
 def _surroundings(file: StudyFile, path: Path) -> Scene | None:
