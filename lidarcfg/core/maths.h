@@ -15,8 +15,13 @@ namespace lidarcfg {
 /// Both of any angle: large ones are brought to half a revolution first.
 inline CosSin cos_sin_of_any(double angle_rad) {
   constexpr double many_revolutions_rad = 1e5;
-  const bool near = std::abs(angle_rad) < many_revolutions_rad;
-  return cos_sin(near ? angle_rad : std::remainder(angle_rad, 2 * std::numbers::pi));
+  constexpr double turn = 2 * std::numbers::pi;
+  constexpr double turn_low = 2.4492935982947064e-16;
+  if (std::abs(angle_rad) < many_revolutions_rad) {
+    return cos_sin(angle_rad);
+  }
+  const double rest = std::remainder(angle_rad, turn);
+  return cos_sin(rest - (angle_rad - rest) / turn * turn_low);
 }
 
 inline double sin(double angle_rad) { return cos_sin_of_any(angle_rad).sin; }

@@ -51,7 +51,7 @@ def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
 def requirement_warnings(path: str | Path) -> Iterator[str]:
     """Warnings about the requirements of a study's file."""
     path = example(path)
-    for one in sources(load(path, StudyFile).requirements, path):
+    for one in sources(load(path, StudyFile).requirements or (), path):
         for key, what in _turns(one.item):
             yield str(one.error(what, *key))
 

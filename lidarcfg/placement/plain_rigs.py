@@ -5,7 +5,7 @@ both, at the top, in the middle or at the bottom of their bounds. A single senso
 free, stands at the corner, side or end that is farthest out, or at the front or rear one of its side; so groups left
 and right, front and rear make mirrored rigs. First all groups do the same; then each is as high as it may be by itself;
 then each group does each of these, up to PLAIN_MAX rigs. A sensor is upright if its bounds allow that, else as nearly
-as they do.
+as they do. A rig that violates constraints, such as one with a sensor off its surface, is drawn in towards the middle.
 """
 
 from collections.abc import Iterator
@@ -20,6 +20,7 @@ from lidarcfg.placement.study import Study
 
 PLAIN_MAX = 96
 HEIGHTS = (1.0, 0.5, 0.0)  # fractions of the bounds
+IN_STEPS = (0.9, 0.75, 0.6, 0.4, 0.2)  # of the way from the middle to the ends of the bounds
 SPREADS = ("corners", "y", "x", "middle", "front", "back")
 Way = tuple[str, float]  # a spread and a height
 
@@ -67,7 +68,19 @@ def plain_points(study: Study, most: int = PLAIN_MAX) -> Array:
             unit[list(group.slots), :3] = group.positions(spread, height)
         point = unit[study.free]
         found.setdefault(point.tobytes(), point)
-    return np.array(list(found.values()))
+    return _drawn_in(study, np.array(list(found.values())))
+
+
+def _drawn_in(study: Study, points: Array) -> Array:
+    """The points, those that violate constraints nearer to the middle, as far out as these allow."""
+    moves = (study.free & (np.arange(6) < 3))[study.free]
+    out = points.copy()
+    for share in IN_STEPS:
+        off = np.flatnonzero(study.violation(study.poses(out)) > 0)
+        out[np.ix_(off, moves)] = 0.5 + share * (points[np.ix_(off, moves)] - 0.5)
+    still = study.violation(study.poses(out)) > 0
+    out[still] = points[still]
+    return out
 
 
 def _ways(groups: int) -> Iterator[tuple[Way, ...]]:

@@ -360,7 +360,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
         with errors_at(path, "robust", "lost"):
             file.robust.check(len(slots.slots))
     detection_targets = _detection_targets(file, region, path)
-    found = sources(file.requirements, path)
+    found = sources(file.requirements or (), path)
     seen = _visibility(file, region, bodies, surroundings)
     only_required = False
     if "objective" not in file.model_fields_set:
@@ -492,7 +492,6 @@ def _resolved(
                 group["choose"] = [choice.model if choice else NONE for choice in slot.choices]
             elif slot.model is not None:
                 group["model"] = slot.model
-    del values["requirements"]
     if found and "objective" not in file.model_fields_set:
         del values["objective"]  # nothing but requirements counts
     if found:

@@ -179,7 +179,7 @@ class StudyFile(Model):
     visibility: VisibilityFile | None = None
     objective: Objective = Objective()
     constraints: Constraints = Constraints()
-    requirements: tuple[RequirementOrFile, ...] = ()
+    requirements: tuple[RequirementOrFile, ...] | None = None
     robust: Robust | None = None
     zones: tuple[ZoneFile, ...] = ()
     solver: Solver = Solver()
@@ -196,7 +196,7 @@ class StudyFile(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "StudyFile":
-        if not self.requirements and "requirements" in self.model_fields_set:
+        if self.requirements == ():
             raise validation_error("asks for nothing; give a requirement, or remove the key", "requirements")
         self._check_prices()
         names = [item.name for item in self.detection]

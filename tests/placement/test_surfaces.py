@@ -14,6 +14,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
 from lidarcfg.geometry import leaning, rotation, up
 from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.plain_rigs import IN_STEPS, plain_points
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.viewer.bodies import base_area_m, base_discs_m
 from lidarcfg.viewer.mounting import violations
@@ -36,6 +37,23 @@ CAR = f"vehicle: {{meshes: [{{name: body, file: {SEDAN}, exclude: true}}]}}\n"
 def study(folder, vehicle, *groups, more="solver: {evaluations: 200}\n"):
     sensors = "".join(f"  - {{model: vlp-16, {group}}}\n" for group in groups)
     return study_of(folder, f"{REGION}{vehicle}sensors:\n{sensors}{more}")
+
+
+def test_plain_rigs_are_as_far_out_as_their_surfaces_allow():
+    """On the saloon's roof and fenders the ends of the bounds are beside the body."""
+    loaded = load_study(shipped("data") / "studies" / "mounts.yaml")
+    points = plain_points(loaded)
+    kept = loaded.violation(loaded.poses(points)) == 0
+    assert kept.mean() > 0.7
+    inside = (points[kept] > 0) & (points[kept] < 1) & (points[kept] != 0.5)
+    assert inside.any()
+    for point in points[kept][inside.any(axis=1)]:
+        drawn_in = 2 * abs(point - 0.5)
+        share = drawn_in[drawn_in > 0]
+        assert share == pytest.approx(share[0])
+        farther = [one for one in IN_STEPS if one > share[0] + 1e-9]
+        further_out = np.where(point == 0.5, 0.5, 0.5 + np.array([1, *farther])[:, None] * np.sign(point - 0.5) / 2)
+        assert (loaded.violation(loaded.poses(further_out)) > 0).all()
 
 
 def on(body, side, low, high, **more):
