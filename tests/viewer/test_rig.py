@@ -328,6 +328,7 @@ def test_the_opening_view_shows_vehicle_and_worst_subspaces_whole(chromium, name
         put(chromium, "#worst", 1)
         click(chromium, "#region")
         click(chromium, "#bounds")
+        click(chromium, "#missed")
         chromium.find_element("tag name", "body").send_keys("f")
         assert 0.8 < seen(chromium, np.concatenate(places[:2])) < 0.95
 
