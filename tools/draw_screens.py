@@ -65,7 +65,7 @@ def report() -> None:
 def seen() -> None:
     """Place the sedan's sensors, and photograph what the report begins with: misses by object, and from above."""
     with tempfile.TemporaryDirectory() as folder, browser(1000, 1000) as driver:
-        line = ["optimize", str(ROOT / "data/studies/sedan.yaml"), "-o", folder, "--evaluations", "6000", "--quiet"]
+        line = ["optimize", str(ROOT / "data/studies/sedan.yaml"), "-o", folder, "--evaluations", "12000", "--quiet"]
         cli.main(line, prog_name="lidarcfg", standalone_mode=False)
         driver.get((Path(folder) / "report.html").as_uri())
         parts = []

@@ -21,7 +21,7 @@ inline CosSin cos_sin_of_any(double angle_rad) {
     return cos_sin(angle_rad);
   }
   const double rest = std::remainder(angle_rad, turn);
-  return cos_sin(rest - (angle_rad - rest) / turn * turn_low);
+  return cos_sin(std::remainder(rest - (angle_rad - rest) / turn * turn_low, turn));
 }
 
 inline double sin(double angle_rad) { return cos_sin_of_any(angle_rad).sin; }
