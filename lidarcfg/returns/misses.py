@@ -57,7 +57,14 @@ class MissedObject:
     name: str
     weight: float
     target: Target
-    stand: Stand
+    zone: Zone
+    ground_m: float
+
+    @cached_property
+    def stand(self) -> Stand:
+        """Where it may stand."""
+        mesh = self.target.mesh[0] - self.target.origin_m, self.target.mesh[1]
+        return Stand(self.zone, Footprint.of(mesh), np.zeros(1), self.ground_m)
 
     def places(self, count: int, purpose: int) -> Array:
         """(count, 4) places for a search or fresh ones; see Stand.drawn. Raises ConfigError as that."""
@@ -160,8 +167,7 @@ class Misses:
         found = []
         for name, weight in file.objects.items():
             target = target_of(ObjectFile(name=name), folder)
-            footprint = Footprint.of((target.mesh[0] - target.origin_m, target.mesh[1]))
-            found.append(MissedObject(name, weight, target, Stand(zone, footprint, np.zeros(1), ground_m)))
+            found.append(MissedObject(name, weight, target, zone, ground_m))
         return cls(tuple(found), file.returns, file.within_m, obstacles)
 
     @property
