@@ -79,7 +79,7 @@ requirements:
     region: {min_m: [0.9, 4.9, -0.1], max_m: [1.1, 5.1, 2]}
     headings_deg: [0]
     returns: 20
-solver: {evaluations: 400}
+solver: {evaluations: 150}
 """
 
 
@@ -351,7 +351,7 @@ requirements:
     headings_deg: [0]
     returns: RETURNS
   - {name: budget, price_at_most: 13000}
-solver: {evaluations: 400}
+solver: {evaluations: 200}
 """
 
 
@@ -377,7 +377,7 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
     passing = []
     for option in distinct_options(one):
         each = option.combination.study
-        evaluations = 150 if returns == 300 else 1  # the plain rigs alone
+        evaluations = 60 if returns == 300 else 1  # the plain rigs alone
         rigs = [optimize(with_solver(each, evaluations=evaluations), threads=2)] if each.free.any() else []
         if option.price <= 13000 and any(rig.verdict.passed for rig in rigs):
             passing.append(option.price)
@@ -416,7 +416,7 @@ def test_the_seconds_are_those_of_the_search(study, monkeypatch):
 
 def test_what_is_excluded_meets_nothing_when_searched(study):
     """Combinations of which it is said that no rig can meet all are searched all the same without skipping."""
-    one = study(CHOICE.replace("RETURNS", "1500").replace("evaluations: 400", "evaluations: 1200"))
+    one = study(CHOICE.replace("RETURNS", "1500").replace("evaluations: 200", "evaluations: 600"))
     excluded = {tried.name for tried in cheapest(one, threads=2).tried if tried.excluded not in (None, "too dear")}
     searched = [tried for tried in cheapest(one, threads=2, skip=False).tried if tried.name in excluded]
     assert len(searched) == len(excluded) > 0
@@ -502,7 +502,8 @@ def test_returns_that_no_rig_gets_are_said(study):
 
 def test_workers_find_the_same(study):
     """Processes stand for a cluster's workers."""
-    one = study(CHOICE.replace("RETURNS", "300").replace("within_m: [2, 3]", "within_m: [2, 3.5]"))
+    text = CHOICE.replace("RETURNS", "300").replace("within_m: [2, 3]", "within_m: [2, 3.5]")
+    one = with_solver(study(text), evaluations=400)
     alone = cheapest(one, threads=2)
     workers = Processes(2)
     try:
