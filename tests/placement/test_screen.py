@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from lidarcfg.requirements.sensor_counts import lowest_at
 
 from lidarcfg.placement.plain_rigs import plain_points
 from lidarcfg.placement.requirements_search import RequirementsEvaluator
 from lidarcfg.placement.screen import Screen
 from lidarcfg.placement.study import load_study
+from lidarcfg.returns.known import lowest_at
 from tests.placement.test_requirements_search import YARD
 
 
