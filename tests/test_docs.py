@@ -24,7 +24,7 @@ from lidarcfg.errors import LidarcfgError
 from lidarcfg.placement.plan import PlanFile
 from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.report.summaries import summary
-from lidarcfg.requirements.scenario import ScenarioFile
+from lidarcfg.requirements.scenario_file import ScenarioFile
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Sensor
