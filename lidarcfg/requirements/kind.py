@@ -33,11 +33,11 @@ from lidarcfg.sensors.rig import SENSORS_MAX, Mount
 Returns = Annotated[int, Field(ge=1, le=1_000_000)]
 Clusters = Annotated[
     Annotated[float, Field(gt=0, le=10)] | None,
-    Field(description="the returns are of one cluster whose neighbours are this close; without it all count"),
+    Field(description="the returns are of one cluster whose neighbours are this close; by default all count"),
 ]
 Lost = Annotated[
     Annotated[int, Field(ge=0, le=SENSORS_MAX)] | None,
-    Field(description="it must hold with any so many sensors lost; without it as robust says"),
+    Field(description="it must hold with any N sensors lost, N being this number; by default as `robust` says"),
 ]
 
 

@@ -59,33 +59,36 @@ class ObjectKind(Kind):
     """An object gets its returns wherever it stands in a zone."""
 
     key: ClassVar[str] = "object"
-    object: Annotated[ObjectOrName, Field(description="a name in data/objects, {size_m: [x, y, z]}, or {mesh: FILE}")]
+    object: Annotated[
+        ObjectOrName, Field(description="a name in `data/objects`, `{size_m: [x, y, z]}`, or `{mesh: FILE}`")
+    ]
     returns: Annotated[Returns, Field(description="in one revolution, all sensors together, in the worst phase")]
     cluster_m: Clusters = None
     sensors: Annotated[
         Annotated[int, Field(ge=1, le=SENSORS_MAX)] | None,
-        Field(description="so many sensors get the returns, each alone; without it all together"),
+        Field(description="this many sensors get the returns, each alone; by default all together"),
     ] = None
     within_m: Annotated[
         Distances | None,
-        Field(description="least and greatest distance between the object's and the body's outlines on the ground"),
+        Field(description="`[least, greatest]` distance between the outlines of object and body; this or `region`"),
     ] = None
     sector_deg: Sectors = None
     region: Annotated[
-        ZoneBoxFile | None, Field(description="a box in the vehicle frame that holds the object, instead of within_m")
+        ZoneBoxFile | None,
+        Field(description="`{min_m, max_m}`, a box in the vehicle frame that wholly contains the object"),
     ] = None
     headings_deg: Annotated[
         Annotated[tuple[Heading, ...], Field(min_length=1, max_length=360)] | None,
-        Field(description="how the object is turned; without it every 45"),
+        Field(description="how the object is turned; every 45 by default"),
     ] = None
     at_least: Annotated[
         Annotated[float, Field(gt=0, le=1)] | None,
-        Field(description="the fraction of places at which it holds, each at its worst heading; without it 1"),
+        Field(description="the fraction of places at which it must hold, each at its worst heading; 1 by default"),
     ] = None
     step_m: Annotated[
         Annotated[float, Field(ge=0.02, le=COORDINATE_MAX_M)] | None,
         Field(
-            description="between places, at most; without it 0.5, or half the object's width if that is more. Within "
+            description="between places, at most; by default 0.5, or half the object's width if that is more; within "
             "5 m of the body they are never farther apart than half the object's width"
         ),
     ] = None

@@ -55,12 +55,13 @@ class PostKind(Kind):
     key: ClassVar[str] = "post_height_m"
     post_height_m: Annotated[Size, Field(description="the post's height")]
     first_seen_at_most_m: Annotated[
-        Distance | None, Field(description="the distance to the body from which on it is seen, at most")
+        Distance | None,
+        Field(description="the distance from the body at which it is first seen, at most; this, the next or both"),
     ] = None
     gap_at_most_m: Annotated[Distance | None, Field(description="the longest gap beyond that, at most")] = None
     within_m: Annotated[
         Distances | None,
-        Field(description="least and greatest distance to the body's outline on the ground; without it 0 to 10"),
+        Field(description="`[least, greatest]` distance from the body's outline; 0 to 10 by default"),
     ] = None
     sector_deg: Sectors = None
     lost: Lost = None

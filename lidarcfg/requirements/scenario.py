@@ -54,13 +54,13 @@ class ScenarioKind(Kind):
         PlainSerializer(_scenario_from),
     ]
     speeds_km_h: Annotated[
-        Speeds | None, Field(description="of the vehicle; without it those of the scenario's file")
+        Speeds | None, Field(description="of the vehicle; by default as the scenario's file says")
     ] = None
-    target: Annotated[ObjectOrName | None, Field(description="an object instead of the scenario's")] = None
+    target: Annotated[ObjectOrName | None, Field(description="an object that takes the place of the scenario's")] = None
     braking: Annotated[
-        BrakingOrName | None, Field(description="emergency, comfort, or keys and values; without it emergency")
+        BrakingOrName | None, Field(description="`emergency`, `comfort`, or keys and values; `emergency` by default")
     ] = None
-    returns: Annotated[Returns | None, Field(description="of the target in a frame; without it 10")] = None
+    returns: Annotated[Returns | None, Field(description="of the target in a frame; 10 by default")] = None
     cluster_m: Clusters = None
     lost: Lost = None
 

@@ -42,12 +42,10 @@ class ShadowKind(Kind):
 
     key: ClassVar[str] = "shadow_at_most_m3"
     shadow_at_most_m3: Annotated[float, Field(ge=0, description="the hidden volume, at most")]
-    height_m: Annotated[
-        Heights | None, Field(description="from and to above the ground, of the volume; without it 0 to 2")
-    ] = None
+    height_m: Annotated[Heights | None, Field(description="`[from, to]` above the ground; 0 to 2 by default")] = None
     within_m: Annotated[
         Distances | None,
-        Field(description="least and greatest distance to the body's outline on the ground; without it 0 to 5"),
+        Field(description="`[least, greatest]` distance from the body's outline; 0 to 5 by default"),
     ] = None
     lost: Lost = None
 

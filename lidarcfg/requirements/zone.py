@@ -14,7 +14,7 @@ from lidarcfg.world.footprint import Footprint
 
 Sectors = Annotated[
     Sector | None,
-    Field(description="from and to, counter-clockwise from ahead; narrows within_m; without it all around"),
+    Field(description="`[from, to]`, counter-clockwise from ahead; narrows `within_m`; all around by default"),
 ]
 NO_VEHICLE = "the vehicle's body, and the study has no vehicle; give one"
 
