@@ -68,7 +68,7 @@ class RequirementVerdict:
     """Whether a rig meets a requirement."""
 
     name: str
-    kind: str  # the key in file.py's KINDS
+    kind: str  # its key in KINDS
     passed: bool
     unit: str  # of the figures: returns, m, m³, s, or empty
     demanded: float
@@ -116,6 +116,20 @@ class RequirementVerdict:
             "not_achievable": self.not_achievable,
         }
         return {key: value for key, value in values.items() if value is not None}
+
+
+def at_most(name: str, kind: str, most: float, reached: float, unit: str = "") -> RequirementVerdict:
+    """The verdict by a limit of one number, whatever the places."""
+    return RequirementVerdict(
+        name=name,
+        kind=kind,
+        passed=reached <= most,
+        unit=unit,
+        demanded=most,
+        reached=reached,
+        at_most=True,
+        shortfall=max(reached / most - 1, 0.0),
+    )
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,38 @@
-"""Whether an object gets its returns wherever it stands in a zone, also with sensors lost or mounts slightly off."""
+"""Objects: one gets its returns wherever it stands in a zone, also with sensors lost or mounts slightly off."""
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from lidarcfg import core
+from lidarcfg.config.models import COORDINATE_MAX_M, validation_error
 from lidarcfg.geometry import Array
+from lidarcfg.requirements.allowed_rigs import ROUNDING, AllowedRigs
+from lidarcfg.requirements.context import Context
+from lidarcfg.requirements.evidence import Evidence, sensor_views
+from lidarcfg.requirements.kind import NO_PLACES, Clusters, Entry, Judge, Kind, Lost, Requirement, Returns
 from lidarcfg.requirements.margins import MountMargins, with_one_off
-from lidarcfg.requirements.robustness import Robust, misplaced
+from lidarcfg.requirements.robustness import Robust, cases, misplaced
 from lidarcfg.requirements.trial_rig import TrialRig
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
-from lidarcfg.returns.counts import ClusterRule, Lowest, OnPlaces, count_clusters, no_progress
+from lidarcfg.requirements.zone import Sectors, ZoneBoxFile, zone_within
+from lidarcfg.returns.counts import LOW_M, ClusterRule, Lowest, OnPlaces, count_clusters, no_progress
 from lidarcfg.returns.known import Share, Standing, lowest_at, shares
-from lidarcfg.returns.places import Stand
+from lidarcfg.returns.places import FINEST_M, FINEST_RAD, Distances, Heading, Stand
 from lidarcfg.returns.scanners import Poses, poses_of, scanners_of
 from lidarcfg.returns.silhouettes import Core, Silhouettes, centres_of
-from lidarcfg.returns.target import Target
-from lidarcfg.sensors.rig import Mount
+from lidarcfg.returns.target import ObjectOrName, Target, target_of
+from lidarcfg.sensors.rig import SENSORS_MAX, Mount, one_of
+from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.tracer import Obstacles
+
+HEADINGS_DEG = tuple(float(heading) for heading in range(0, 360, 45))
 
 LOWEST = 256  # places, around which others are tried
 REFINED_WORK = 4  # of a refined place, by that of one of the base grid: they lie where it takes long to count
@@ -32,12 +42,10 @@ CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing
 CAP_FACTOR = 4  # by which the cap grows then
 CAP_MAX = 1 << 23
 TRIAL_PLACES = 1000  # of the base grid, at which the trials of a search are judged at first
+QUICK = 64  # of those, at which many rigs are judged at first
 TRIAL_GROWTH = 10  # of that number, until all are looked at
 MISSED_MOST = 256  # places of the base grid, found at a time
 JOINT_MAX = 256  # combinations of phases that are all tried for clusters
-# Above the ground a cluster has a point at least so high: autonomous_emergency_braking.param.yaml of autoware_launch at
-# 025908d.
-LOW_M = 0.1
 
 FIRST_PLACES = 32  # of a search's trial, after which it is first asked whether it is refuted already
 GROWTH = 4  # of the number of places, until it is asked again
@@ -47,23 +55,199 @@ Counts = NDArray[np.int64]
 Rows = NDArray[np.int64]
 
 
+class ObjectKind(Kind):
+    """An object gets its returns wherever it stands in a zone."""
+
+    key: ClassVar[str] = "object"
+    object: Annotated[
+        ObjectOrName, Field(description="a name in `data/objects`, `{size_m: [x, y, z]}`, or `{mesh: FILE}`")
+    ]
+    returns: Annotated[Returns, Field(description="in one revolution, all sensors together, in the worst phase")]
+    cluster_m: Clusters = None
+    sensors: Annotated[
+        Annotated[int, Field(ge=1, le=SENSORS_MAX)] | None,
+        Field(description="this many sensors get the returns, each alone; by default all together"),
+    ] = None
+    within_m: Annotated[
+        Distances | None,
+        Field(description="`[least, greatest]` distance between the outlines of object and body; this or `region`"),
+    ] = None
+    sector_deg: Sectors = None
+    region: Annotated[
+        ZoneBoxFile | None,
+        Field(description="`{min_m, max_m}`, a box in the vehicle frame that wholly contains the object"),
+    ] = None
+    headings_deg: Annotated[
+        Annotated[tuple[Heading, ...], Field(min_length=1, max_length=360)] | None,
+        Field(description="how the object is turned; every 45 by default"),
+    ] = None
+    at_least: Annotated[
+        Annotated[float, Field(gt=0, le=1)] | None,
+        Field(description="the fraction of places at which it must hold, each at its worst heading; 1 by default"),
+    ] = None
+    step_m: Annotated[
+        Annotated[float, Field(ge=0.02, le=COORDINATE_MAX_M)] | None,
+        Field(
+            description="between places, at most; by default 0.5, or half the object's width if that is more; within "
+            "5 m of the body they are never farther apart than half the object's width"
+        ),
+    ] = None
+    lost: Lost = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "ObjectKind":
+        one_of(self, "within_m", "region")
+        if self.sector_deg and not self.within_m:
+            raise validation_error("goes with within_m, not with region", "sector_deg")
+        return self
+
+    def read(self, entry: Entry) -> None:
+        """Read the object. Raises ConfigError with file, line and key."""
+        self._target(entry)
+
+    def _target(self, entry: Entry) -> Target:
+        with entry.errors_at("object"):
+            return target_of(self.object, entry.path.parent)
+
+    def resolve(self, entry: Entry, context: Context) -> "ObjectRequirement":
+        """The requirement of a study. Raises ConfigError with file, line and key."""
+        lost = entry.lost(self.lost, context)
+        site = context.site
+        zone = self.region.zone(site) if self.region else zone_within(entry, site, self.within_m, self.sector_deg)
+        target = self._target(entry)
+        if self.region is not None:
+            low, high = self.region.min_m[2], self.region.max_m[2]
+            top = site.ground_m + float(target.size_m[2])
+            if not (low <= site.ground_m + 1e-9 and top <= high + 1e-9):
+                what = f"the object, on the ground, reaches from z = {site.ground_m:g} to {top:.6g} m; it does not fit"
+                raise entry.error(what, "region")
+        stand = Stand(
+            zone,
+            Footprint.of((target.mesh[0] - target.origin_m, target.mesh[1])),
+            np.unique(np.mod(np.radians(self.headings_deg or HEADINGS_DEG), 2 * math.pi)),
+            site.ground_m,
+            self.step_m,
+        )
+        with entry.errors_at("region" if self.region else "within_m"):
+            stand.base  # noqa: B018  # raises for a zone without a place
+        return ObjectRequirement(
+            name=self.name,
+            target=target,
+            stand=stand,
+            returns=self.returns,
+            obstacles=site.obstacles,
+            sensors=self.sensors,
+            at_least=self.at_least or 1.0,
+            lost=lost,
+            cluster_m=self.cluster_m,
+            robust=context.robust,
+        )
+
+
 @dataclass(frozen=True)
-class ObjectRequirement:
+class PlaceCounts:
+    """What an object reaches at N positions of the base grid, each at its worst heading."""
+
+    at_m: Array  # (N, 2)
+    values: Counts  # (N,) in the worst case; lower bounds from the cap on
+    side_m: Array  # (N,) of squares that cover the zone; the largest come first, as they lie below the others
+    demanded: int
+    cap: int
+
+
+@dataclass(frozen=True)
+class ObjectRequirement(Requirement):
     """An object gets a number of returns wherever it stands in a zone."""
 
     name: str
     target: Target
     stand: Stand
     returns: int
+    obstacles: Obstacles
     sensors: int | None = None  # the number of sensors that get them, each alone; None: all together
     at_least: float = 1.0  # fraction of the base grid's positions, each at its worst heading
     lost: int = 0  # sensors that fail
     cluster_m: float | None = None  # they are of one cluster with this tolerance
+    robust: Robust | None = None
+
+    def judge_with(self, share: Share | None = None) -> "ObjectJudge":
+        """A judge; `share`: the places where it counts, of which what is known is kept."""
+        return ObjectJudge(self, share)
+
+    @property
+    def standing(self) -> Standing:
+        """The object at the base grid's places."""
+        return Standing(self.target, self.stand.base)
+
+    def standing_in_trials(self, more: Array) -> Standing:
+        """The object at some of a large grid's places, spread over it; places `more` (n, 4) have joined."""
+        own = self.trial_places
+        return Standing(self.target, np.concatenate([own, more]) if len(more) else own)
 
     @property
     def trial_places(self) -> Array:
         """(P, 4) the places at which the trials of a search are judged at first; of a fraction, all."""
         return self.stand.thinned(TRIAL_PLACES) if self.at_least == 1 else self.stand.base
+
+    @property
+    def sums(self) -> "ObjectRequirement | None":
+        """Itself, unless clusters count."""
+        return self if self.cluster_m is None else None
+
+    def in_order(self) -> Array:
+        """(P, 4) the places of trials; the first are spread evenly."""
+        places = self.trial_places
+        first = self.stand.spread(places) if self.at_least == 1 else np.zeros(len(places))
+        return np.ascontiguousarray(places[np.argsort(first, kind="stable")])
+
+    @property
+    def quick(self) -> int | None:
+        """How many of them tell most; None: all."""
+        return QUICK if self.at_least == 1 else None
+
+    def short(self, places: Array, counts: NDArray[np.int32]) -> Array:
+        """(n,) the relative shortfalls, with the sensors lost whose loss is the worst; of a fraction the best."""
+        got = reached(counts, self.lost, self.sensors)
+        if self.at_least < 1:
+            by_position = np.sort(positions(places, got)[1])[::-1]
+            got = by_position[: math.ceil(self.at_least * len(by_position) - 1e-9)]
+        return np.asarray(1 - got / self.returns)
+
+    def out_of_reach(self, rigs: AllowedRigs) -> str | None:
+        """Why no rig can meet it, if that is certain: some place is out of range, or too few beams reach some."""
+        return self._beyond_range(rigs) or self._too_few_beams(rigs)
+
+    def _beyond_range(self, rigs: AllowedRigs) -> str | None:
+        """Whether some place is farther from all bounds than any sensor's range."""
+        if self.at_least < 1:
+            return None
+        at = self.stand.base[:, :3]
+        distance_m = rigs.distance_m(at)
+        low, high = self.target.box_m
+        radius_m = math.hypot(*np.maximum(abs(low), abs(high)))
+        far = int(distance_m.argmax())
+        most_m = rigs.range_m
+        if distance_m[far] <= most_m + rigs.start_m + radius_m + ROUNDING:
+            return None
+        x, y = at[far, :2]
+        far_m = f"({x:.2f}, {y:.2f}) is {distance_m[far]:.1f} m from the bounds of all sensors"
+        return f"{far_m}, and no range exceeds {most_m:g} m"
+
+    def _too_few_beams(self, rigs: AllowedRigs) -> str | None:
+        """Whether at a place that counts fewer beams than are demanded can hit the ball around the object's box.
+
+        With a fraction of positions, those nearest to the bounds count.
+        """
+        low, high = self.target.box_m
+        radius_m = 0.5 * math.dist(low, high)
+        at = np.unique(self.stand.base[:, :3], axis=0)
+        nearest = np.sort(rigs.distance_m(at + 0.5 * (low + high)))
+        distance_m = nearest[math.ceil(self.at_least * len(at) - 1e-9) - 1]
+        most = int(reached(rigs.most_returns(radius_m, distance_m), self.lost, self.sensors)[0])
+        if most >= self.returns:
+            return None
+        who = "the sensors together get" if self.sensors is None else f"{self.sensors} of the sensors get, each alone,"
+        return f"{who} at most {most:,} returns from {distance_m:.1f} m away"
 
     @property
     def wanted(self) -> int:
@@ -132,17 +316,6 @@ class Clustered:
     measured: Measured
 
 
-@dataclass(frozen=True)
-class PlaceCounts:
-    """What an object reaches at N positions of the base grid, each at its worst heading."""
-
-    at_m: Array  # (N, 2)
-    values: Counts  # (N,) in the worst case; lower bounds from the cap on
-    side_m: Array  # (N,) of squares that cover the zone; the largest come first, as they lie below the others
-    demanded: int
-    cap: int
-
-
 def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts:
     """(P,) the sum of counts (P, S) without the `lost` largest; or, of those left, the `sensors`-th largest."""
     ordered = -np.sort(-np.maximum(counts, 0).astype(np.int64), axis=1)
@@ -151,26 +324,22 @@ def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts
     return ordered[:, lost + sensors - 1] if lost + sensors <= counts.shape[1] else np.zeros(len(counts), np.int64)
 
 
-class ObjectJudge:
+class ObjectJudge(Judge):
     """Judges rigs by one object requirement: a verdict, or for searches ever greater lower bounds of the shortfall."""
 
-    is_slow = False
-
-    def __init__(
-        self, item: ObjectRequirement, obstacles: Obstacles, robust: Robust | None = None, share: Share | None = None
-    ) -> None:
-        """For a requirement; `share`: its places, of which what is known is kept; without it those of the base grid."""
+    def __init__(self, item: ObjectRequirement, share: Share | None = None) -> None:
+        """`share`: the places where it counts, of which what is known is kept; without it those of the base grid."""
         self.item = item
-        self._obstacles = obstacles
-        self._robust = robust if robust and robust.drawn else None
-        self._share = share or shares([Standing(item.target, item.stand.base)], obstacles)[0]
+        self._obstacles = item.obstacles
+        self._robust = item.robust if item.robust and item.robust.drawn else None
+        self._share = share or shares([item.standing], item.obstacles)[0]
         self.places = self._share.places  # (P, 4)
         self._latest: Clustered | None = None
         self._weight = np.zeros(len(self.places))  # what places counted for in earlier batches of trials
         self._of_batch = np.zeros(len(self.places))  # and in this one
         self._order: Rows = np.arange(len(self.places))
         self._latest_refined: RefinedOf | None = None
-        self._silhouettes = Silhouettes(obstacles)
+        self._silhouettes = Silhouettes(item.obstacles)
 
     @property
     def work(self) -> int:
@@ -199,6 +368,20 @@ class ObjectJudge:
             side_m[distance_m <= stand.near_m] = stand.near_step_m
         order = np.argsort(-side_m, kind="stable")
         return PlaceCounts(at[order], values[order], side_m[order], self.item.returns, self.first_cap)
+
+    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
+        """The evidence for a verdict on a rig, without mounting errors."""
+        item = self.item
+        stand = item.stand
+        phases = found.phases if item.cluster_m is not None else None
+        return Evidence(
+            found,
+            stand.zone.body,
+            stand.zone,
+            map=self.counts(mounts),
+            views=sensor_views(found, item.target, stand.ground_m, mounts, item.obstacles, phases),
+            margins=(self.margins(mounts),),
+        )
 
     def margins(self, mounts: Sequence[Mount]) -> MountMargins:
         """What single failures and mounts that are a little off leave, in the place that decides."""
@@ -271,7 +454,7 @@ class ObjectJudge:
             if short.any():
                 order = np.lexsort((stand.spread(places[short]), values[short]))
                 return np.ascontiguousarray(places[short][order[:MISSED_MOST]])
-        return np.empty((0, 4))
+        return NO_PLACES
 
     def missed_between(self, mounts: Sequence[Mount]) -> Array:
         """(n, 4) places between those of the base grid at which a rig fails, the worst first.
@@ -279,11 +462,31 @@ class ObjectJudge:
         They are refined until some are found; if none are, `judge` takes no longer than it has to.
         """
         if self.item.at_least < 1:
-            return np.empty((0, 4))
+            return NO_PLACES
         tried = self._tried(mounts, *self._base(mounts), stops=True).every
         short = np.flatnonzero(tried.values < self.item.returns)
         order = np.argsort(tried.values[short], kind="stable")[:MISSED_MOST]
         return np.ascontiguousarray(tried.places[short[order]])
+
+    def missed_share(self, mounts: Sequence[Mount]) -> float:
+        """At how many of the places of trials a rig fails, as a fraction; 0 of a fraction, where none can join."""
+        if self.item.at_least < 1:
+            return 0.0
+        values = self.measured_at(self.item.trial_places, mounts, self.first_cap).values
+        return float(np.mean(values < self.item.returns))
+
+    def drawn(self, count: int, seed: Sequence[int]) -> Array:
+        """(count, 4) drawn places that may join; fewer are the first of these."""
+        return self.item.stand.drawn(count, seed, at_any_heading=False)
+
+    def around(self, found: RequirementVerdict) -> Array:
+        """(n, 4) the worst place of a verdict, and those around; none of a fraction."""
+        if self.item.at_least < 1 or found.worst is None:
+            return NO_PLACES
+        stand = self.item.stand
+        heading_rad = math.radians(found.worst.heading_deg or 0.0)
+        place = np.array([[found.worst.x_m, found.worst.y_m, stand.ground_m, heading_rad]])
+        return np.concatenate([place, stand.around(place, FINEST_M, FINEST_RAD, set())])
 
     def _base(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> tuple[Measured, int]:
         """What a rig reaches at the base grid's places, exact below the cap, and that, which is above the lowest."""
@@ -305,7 +508,7 @@ class ObjectJudge:
         notes = []
         if self._robust:
             draws = self._drawn(mounts, tried, cap, on_places)
-            number = sorted(range(len(draws)), key=lambda n: -draws[n][2])[self._robust.drawn - 1 - self._robust.spare]
+            number = self._robust.quantile_of(range(len(draws)), lambda n: draws[n][2])
             if draws[number][2] < value:
                 counted, at, value = draws[number]
                 quantile = f"{self._robust.quantile:g} quantile of {self._robust.drawn} draws"
@@ -319,7 +522,7 @@ class ObjectJudge:
         distance_m = float(item.stand.distance_m(place[None])[0])
         return RequirementVerdict(
             name=item.name,
-            kind="object",
+            kind=ObjectKind.key,
             passed=value >= item.returns,
             unit="returns",
             demanded=item.returns,
@@ -635,7 +838,7 @@ class ObjectJudge:
         """(n, 4) places in narrow shadows of the bodies; none for a fraction of the base grid's positions."""
         stand = self.item.stand
         if self.item.at_least < 1:
-            return np.empty((0, 4))
+            return NO_PLACES
         core = Core.of(stand.width_m, float(self.item.target.size_m[2]), stand.ground_m)
         return stand.standing(self._silhouettes.places(centres_of(mounts), core, stand.area, stand.far_step_m))
 
@@ -687,13 +890,6 @@ def positions(places: Array, values: Counts) -> tuple[NDArray[np.intp], Counts]:
     first = np.ones(len(at), np.bool_)
     first[1:] = (at[1:] != at[:-1]).any(axis=1)
     return order[first], values[order[first]]
-
-
-def cases(sensors: int, lost: int) -> list[list[int]]:
-    """The sensors that are left: all of them, then those of each case of failure."""
-    whole = list(range(sensors))
-    ways = combinations(whole, lost) if lost else ()
-    return [whole, *([n for n in whole if n not in gone] for gone in ways)]
 
 
 def _lowest(values: Counts, most: int = LOWEST) -> NDArray[np.intp]:
