@@ -1,8 +1,6 @@
 """Decodes an Ouster's packets into points, by the metadata beside them."""
 
-import json
 import math
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,23 +10,19 @@ from lidarcfg import maths
 from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times, product, transform
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, Returns
 from lidarcfg.packets.ouster.layout import (
-    CONSTANT,
     LEGACY_VALID,
-    Footer,
     Layout,
     column_headers,
-    crc64,
     packet_headers,
     unpack,
 )
 from lidarcfg.packets.ouster.telemetry import Metadata
-from lidarcfg.sensors.firing import LAST, SECOND, STRONGEST, Batch, Firings
+from lidarcfg.sensors.firing import LAST, SECOND, STRONGEST
 from lidarcfg.units import MINUTE_NS
 
 ENDS = "", "2"  # of the names of the first and of the second return's fields
-MEASURED = "range", "reflectivity"  # of each return; the other fields are in `Measurements.more`
 
 
 class Profile(NamedTuple):
@@ -221,45 +215,3 @@ def _packets_in_window(metadata: Metadata) -> Times:
     column = np.arange(layout.columns_per_frame)
     inside = (column - first) % layout.columns_per_frame <= (last - first) % layout.columns_per_frame
     return np.unique(column[inside] // layout.columns_per_packet)
-
-
-def measurements(layout: Layout, packets: Bytes, host_ns: Times) -> Measurements:
-    """All pixels of packets (P, size), in the order of columns: see `Codec.measurements`.
-
-    Ranges are what the fields say. Beside them are the other fields (N,), what columns say (P, C), and the headers.
-    """
-    found = unpack(layout, packets)
-    columns = column_headers(layout, packets)
-    headers = packet_headers(layout, packets)
-    ends = ENDS[: layout.profile.returns]
-    millimetres, reflectivity = (np.stack([found[name + end].ravel() for end in ends], axis=-1) for name in MEASURED)
-    angle = 2 * np.pi * columns.measurement / layout.columns_per_frame
-    fired = Firings(
-        time_ns=np.repeat(columns.time_ns.ravel(), layout.pixels),
-        laser=np.tile(np.arange(layout.pixels, dtype=np.uint8), columns.time_ns.size),
-        encoder_rad=np.repeat(angle.ravel(), layout.pixels),
-    )
-    once = {key: value for key, value in asdict(headers).items() if key != "frame"}
-    facts = {"layout": asdict(layout), "heads": once, "footer": _footer(layout, packets)}
-    others = {name: one.ravel() for name, one in found.items() if name.rstrip("2") not in MEASURED}
-    batch = Batch(fired, headers.frame, host_ns)
-    return Measurements(
-        return_mode="dual" if len(ends) == 2 else "strongest",
-        batch=batch,
-        range_m=np.where(millimetres > 0, millimetres / 1000, np.inf),
-        reflectivity=reflectivity.astype(np.uint8),
-        more={
-            "said": np.array(json.dumps(facts)),
-            "measurement": columns.measurement,
-            "valid": columns.valid,
-            **others,
-        },
-    )
-
-
-def _footer(layout: Layout, packets: Bytes) -> Footer:
-    if layout.legacy or not packets[:, -8:].any():
-        return "zero"
-    if (packets[:, -8:] == np.frombuffer(CONSTANT, np.uint8)).all():
-        return "constant"
-    return "crc" if (crc64(packets) == np.ascontiguousarray(packets[:, -8:]).view("<u8")[:, 0]).all() else "zero"

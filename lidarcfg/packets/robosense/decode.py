@@ -11,7 +11,7 @@ from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns, Source
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, Returns, Source
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
     MSOP_ID,
@@ -20,14 +20,12 @@ from lidarcfg.packets.robosense.layout import (
     SERIES,
     Packets,
     Series,
-    bytes_of,
     lidar_type,
     packets_of,
     read_time_ns,
 )
-from lidarcfg.packets.robosense.model import Unit, byte_offsets, slots
-from lidarcfg.packets.robosense.telemetry import Difop, all_difops
-from lidarcfg.sensors.firing import Batch, Firings
+from lidarcfg.packets.robosense.model import Unit, slots
+from lidarcfg.packets.robosense.telemetry import Difop
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets that follow each other
@@ -137,70 +135,6 @@ def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> Returns:
     stamp_ns = read_time_ns(packets_of(data, tables.unit.series))
     kind = np.full(len(data), SINGLE_KINDS[tables.return_mode], np.uint8)
     return blocks.decode(tables.core, data, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
-
-
-def measurements(unit: Unit, data: Bytes, host_ns: Times, return_mode: str) -> Measurements:
-    """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
-    dual = return_mode == "dual"
-    packets = packets_of(data, unit.series)
-    schedule = unit.firing_schedule(dual)
-    azimuth = packets["blocks"]["azimuth"]
-    azimuth = azimuth[:, :: azimuth.shape[1] // (schedule.sequences // schedule.per_azimuth)].astype(np.float64)
-    shape = len(packets), schedule.sequences, unit.count
-    head = np.broadcast_to(np.repeat(azimuth * RADIANS, schedule.per_azimuth, axis=1)[:, :, None], shape)
-    time_ns = read_time_ns(packets)[:, None, None] + schedule.offsets_ns
-    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
-    at = byte_offsets(unit, dual)
-    data = bytes_of(packets)
-    high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
-    distance = (high.astype(np.int64) << 8 | low) & unit.series.distance_max
-    range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
-    batch = Batch(Firings(time_ns.ravel(), laser.ravel(), head.ravel()), packets["count"].astype(np.int64), host_ns)
-    return Measurements(return_mode, batch, range_m, intensity)
-
-
-def return_modes(unit: Unit, source: Source, data: Bytes) -> Times | None:
-    """(P,) the codes of the modes of successive packets (P, 1248); None where no DIFOP packet says any.
-
-    A mode holds from the DIFOP packet that says it. Where there are dual and single returns, each packet's own layout
-    says which they are, as a mode changes before a DIFOP says so.
-    """
-    series = unit.series
-    dual = series.modes["dual"]
-    packets = packets_of(data, series)
-    difops = all_difops(source, series)
-    difops = difops[np.isin(difops["return_mode"], list(series.mode_names))]
-    if not len(difops):
-        return None
-    at = read_time_ns(packets)
-    difop_ns = read_time_ns(difops)
-    codes = difops["return_mode"].astype(np.int64)
-    if not ((codes == dual).any() and (codes != dual).any()):
-        return _latest(at, difop_ns, codes)
-    single = codes != dual
-    return np.where(_dual(unit, packets), dual, _latest(at, difop_ns[single], codes[single]))
-
-
-def _latest(at: Times, difop_ns: Times, codes: Times) -> Times:
-    """(P,) the latest value at these times (P,); before the first value, that one."""
-    order = np.argsort(difop_ns, kind="stable")
-    last = np.searchsorted(difop_ns[order], at, side="right") - 1
-    return codes[order][np.maximum(last, 0)]
-
-
-def _dual(unit: Unit, packets: Packets) -> Flags:
-    """(P,) whether each holds dual returns: as it says, blocks of one azimuth in pairs, 16 lasers that fired once."""
-    if unit.series.says_dual:
-        return np.asarray(packets["kind"] == unit.series.kinds[True])
-    azimuth = packets["blocks"]["azimuth"].astype(np.int64)
-    if unit.count == 32:
-        return np.asarray((azimuth[:, ::2] == azimuth[:, 1::2]).mean(axis=1) > 0.5)
-    block = np.median(np.diff(azimuth, axis=1) % REVOLUTION, axis=1)
-    turned = np.diff(azimuth[:, 0]) % REVOLUTION
-    gap_ns = np.diff(read_time_ns(packets))
-    known = gap_ns > 0
-    per_ns = np.median(turned[known] / gap_ns[known]) if known.any() else REVOLUTION * 10 / SECOND_NS
-    return np.asarray(block < 1.5 * per_ns * unit.firing_schedule(dual=True).sequence_ns)
 
 
 class PacketLossCounter:

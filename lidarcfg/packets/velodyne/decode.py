@@ -13,7 +13,7 @@ from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, KnownSensors, Measurements, Returns
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, KnownSensors, Returns
 from lidarcfg.packets.velodyne.layout import (
     HOUR_US,
     RADIANS,
@@ -33,12 +33,10 @@ from lidarcfg.packets.velodyne.model import (
 )
 from lidarcfg.packets.velodyne.model import unit as unit_of
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
-from lidarcfg.sensors.firing import Batch, Firings
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets
 STEP_MAX = 300  # hundredths of a degree between a packet's blocks, where the field of view has no gap
 DEGREE = 100  # hundredths of it: gaps that begin as near to each other begin at the same edge of the field of view
-RETURN_MODES = "strongest", "last", "dual"
 
 
 class VelodyneDecoder(Decoder):
@@ -172,43 +170,6 @@ def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
         focal=np.empty((0, 4)) if focal is None else focal,
     )
     return core.VelodyneDecoder(slots_, lasers, unit.period_ns(dual), group_ns, unit.resolution_m)
-
-
-def measurements(unit: Unit, packets: Packets, host_ns: Times) -> Measurements:
-    """All firings of packets (P,) of one return mode: see `Codec.measurements`.
-
-    Ranges are what distances and the lasers' offsets far off make; an HDL-64E's other corrections are left to decoding.
-    """
-    mode = RETURN_MODES[int(return_modes(unit, packets[:1])[0])]
-    dual = mode == "dual"
-    schedule = unit.firing_schedule(dual)
-    azimuth = np.ascontiguousarray(
-        packets["blocks"]["azimuth"][
-            :, : unit.span(dual) * (schedule.sequences // schedule.per_azimuth) : unit.span(dual)
-        ],
-        np.uint16,
-    )
-    group_ns = schedule.per_azimuth * schedule.sequence_ns
-    gap_ns = np.append(gaps_ns(packets["stamp_us"]), 0)
-    step, late_ns = core.velodyne_turning(azimuth, gap_ns, schedule.period_ns, group_ns)
-    group = np.arange(schedule.sequences) // schedule.per_azimuth
-    fraction = (schedule.offsets_ns - unit.head_offset_ns) / group_ns - group[:, None]
-    head = (azimuth[:, group, None] + step[:, group, None] * fraction) * RADIANS
-    stamp_ns = device_time_ns(packets["stamp_us"], host_ns)
-    time_ns = stamp_ns[:, None, None] + schedule.offsets_ns + late_ns[:, group, None]
-    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), time_ns.shape).ravel()
-    distance, intensity = returned(unit, mode, packets)
-    range_m = distance * unit.resolution_m + unit.distance_offset_m[laser][:, None]
-    range_m[distance == 0] = np.inf
-    batch = Batch(Firings(time_ns.ravel(), laser, head.ravel()), np.arange(len(packets)), host_ns)
-    return Measurements(mode, batch, range_m, intensity)
-
-
-def return_modes(unit: Unit, packets: Packets) -> Times:
-    """(P,) of RETURN_MODES; the strongest, if packets say a mode that the sensor does not have."""
-    codes = unit.packet.return_modes
-    last = packets["return_mode"] == codes.last if codes else np.zeros(len(packets), np.bool_)
-    return np.where(is_dual(unit.packet, packets), RETURN_MODES.index("dual"), last.astype(np.int64))
 
 
 def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Bytes]:
