@@ -27,6 +27,7 @@ from lidarcfg.packets.hesai.layout import (
     return_bytes,
 )
 from lidarcfg.packets.hesai.model import Unit, resolutions, sending
+from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
 from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST
 from lidarcfg.units import MINUTE_NS
 
@@ -80,7 +81,10 @@ class HesaiDecoder(Decoder):
         self._where = where
         self._unit = unit
         self._driver_view = driver_view
-        self._counter = PacketLossCounter(unit)
+        self._losses = PacketLossCounter()
+        self._modes: set[str] = set()
+        self._speeds = 0  # sum of what the packets say
+        self._packets = 0
         self.period_ns = unit.period_ns()
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
@@ -100,10 +104,19 @@ class HesaiDecoder(Decoder):
         return np.asarray(~np.logical_or.reduce(wrong))
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        self._counter.add(self._unit.packets_of(packets), wanted)
+        found = self._unit.packets_of(packets)
+        tail = found["tail"]
+        self._modes |= {MODES[code] for code in set(tail["return_mode"][wanted].tolist()) if code in MODES}
+        self._speeds += int(tail["rpm"][wanted].sum(dtype=np.int64))
+        self._packets += int(wanted.sum())
+        shortest_ns = min(unit.period_ns(dual=True) for unit in resolutions(self._unit))
+        longest = np.diff(device_time_ns(found)) / shortest_ns + SLACK + 1
+        self._losses.add(missing_numbers(tail["sequence"].astype(np.int64), NUMBERS, longest), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
+        unit_rpm = self._unit.facts.packet.speed_unit_rpm
+        rpm = self._speeds * unit_rpm / self._packets if self._packets else math.nan
+        return DecodeStatistics((self._unit.name,), tuple(sorted(self._modes)), self._losses.lost, rpm)
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False, driver_view=self._driver_view)
@@ -229,41 +242,6 @@ def _decoder(unit: Unit) -> core.HesaiDecoder:
     )
     facts = unit.facts.packet
     return core.HesaiDecoder(lasers, facts.blocks, return_bytes(unit.dtype), unit.near_m, facts.least_units)
-
-
-class PacketLossCounter:
-    """Counts over the packets of one source."""
-
-    def __init__(self, unit: Unit) -> None:
-        self._unit = unit
-        self._modes: set[str] = set()
-        self._speeds = 0
-        self._packets = 0
-        self.lost = 0  # packets, by the gaps of the UDP sequence
-
-    def add(self, packets: Packets, wanted: Flags) -> None:
-        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
-        tail = packets["tail"]
-        self._modes |= {MODES[code] for code in set(tail["return_mode"][wanted].tolist()) if code in MODES}
-        self._speeds += int(tail["rpm"][wanted].sum(dtype=np.int64))
-        self._packets += int(wanted.sum())
-        sequence: Times = tail["sequence"].astype(np.int64)
-        missing = np.diff(sequence) % NUMBERS - 1
-        shortest_ns = min(unit.period_ns(dual=True) for unit in resolutions(self._unit))
-        passed = np.diff(device_time_ns(packets)) / shortest_ns
-        lost = wanted[1:] & (missing > 0) & (missing <= passed + SLACK)
-        self.lost += int(missing[lost].sum())
-
-    @property
-    def return_modes(self) -> tuple[str, ...]:
-        """The return modes by name."""
-        return tuple(sorted(self._modes))
-
-    @property
-    def rpm(self) -> float:
-        """The motor's mean speed, as the packets say it; NaN without any."""
-        unit_rpm = self._unit.facts.packet.speed_unit_rpm
-        return self._speeds * unit_rpm / self._packets if self._packets else math.nan
 
 
 def matches(size: int, payload: bytes) -> bool:

@@ -1,6 +1,5 @@
 """Decodes MSOP packets into points: which model sends them, in which mode, what they hold, how many are lost."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
 from lidarcfg.packets.codec import Decoder, DecodeStatistics, Returns, Source
+from lidarcfg.packets.loss import HeadSpeed, PacketLossCounter, following, missing_numbers, missing_periods
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
     MSOP_ID,
@@ -26,9 +26,8 @@ from lidarcfg.packets.robosense.layout import (
 )
 from lidarcfg.packets.robosense.model import Unit, slots
 from lidarcfg.packets.robosense.telemetry import Difop
-from lidarcfg.units import MINUTE_NS, SECOND_NS
+from lidarcfg.units import SECOND_NS
 
-PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets that follow each other
 RESTART = 2**16  # a counter that jumps further was reset; or by half of its range
 SINGLE_KINDS = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single returns, as `Returns` has them
 
@@ -96,14 +95,22 @@ def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | Non
 
 
 class RobosenseDecoder(Decoder):
-    """Decodes the packets of one RoboSense sensor."""
+    """Decodes the packets of one RoboSense sensor.
+
+    Losses are counted by the packets' counter, or by their stamps where that is always the same. Then what is missing
+    may be beyond a narrow field of view, so that nothing counts as lost unless the sensor fires all around.
+    """
 
     def __init__(self, source: Source, tables: DecodeTables, full_fov: bool) -> None:
         self._where = source.where
         self._tables = tables
         self._series = tables.unit.series
         self.period_ns = tables.unit.firing_schedule(tables.dual).period_ns
-        self._counter = PacketLossCounter(self.period_ns, full_fov, self._series.counts)
+        self._full_fov = full_fov
+        self._counts = False  # whether the counter ever changed
+        self._losses = PacketLossCounter()
+        self._losses_by_stamps = PacketLossCounter()
+        self._speed = HeadSpeed(REVOLUTION)
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         return read_time_ns(packets_of(packets, self._series))
@@ -118,12 +125,19 @@ class RobosenseDecoder(Decoder):
         return sound(packets_of(packets, self._series), self._series)
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        self._counter.add(packets_of(packets, self._series), wanted)
+        found = packets_of(packets, self._series)
+        number: Times = found["count"].astype(np.int64)
+        self._counts |= bool((number != number[:1]).any())
+        counts = self._series.counts
+        self._losses.add(missing_numbers(number, counts, min(RESTART, counts // 2)), wanted)
+        gap_ns = np.diff(read_time_ns(found))
+        self._losses_by_stamps.add(missing_periods(gap_ns, self.period_ns, SECOND_NS), wanted)
+        azimuth: Times = found["blocks"]["azimuth"][:, 0].astype(np.int64)
+        self._speed.add(np.diff(azimuth) % REVOLUTION, gap_ns, wanted[1:] & following(gap_ns, self.period_ns))
 
     def statistics(self) -> DecodeStatistics:
-        return DecodeStatistics(
-            (self._tables.unit.name,), (self._tables.return_mode,), self._counter.lost, self._counter.rpm
-        )
+        lost = self._losses.lost if self._counts else self._losses_by_stamps.lost * self._full_fov
+        return DecodeStatistics((self._tables.unit.name,), (self._tables.return_mode,), lost, self._speed.rpm)
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         return decode(self._tables, packets, wanted)
@@ -135,50 +149,6 @@ def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> Returns:
     stamp_ns = read_time_ns(packets_of(data, tables.unit.series))
     kind = np.full(len(data), SINGLE_KINDS[tables.return_mode], np.uint8)
     return blocks.decode(tables.core, data, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
-
-
-class PacketLossCounter:
-    """Counts over the packets of one source: by their counter; by their stamps where that is always the same.
-
-    Without a counter, what is missing may be beyond a narrow field of view, so then nothing counts as lost
-    unless the sensor fires all around.
-    """
-
-    def __init__(self, period_ns: int, full_fov: bool, counts: int) -> None:
-        self._period_ns = period_ns
-        self._counts_to = counts
-        self._restart = min(RESTART, counts // 2)
-        self._full_fov = full_fov
-        self._counted = 0
-        self._by_stamps = 0
-        self._counts = False
-        self._turned = 0
-        self._passed_ns = 0
-
-    def add(self, packets: Packets, wanted: Flags) -> None:
-        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
-        counter: Times = packets["count"].astype(np.int64)
-        step = np.diff(counter) % self._counts_to
-        gap_ns = np.diff(read_time_ns(packets))
-        mine = wanted[1:]
-        self._counts |= bool(step.any())
-        self._counted += int((step[mine & (step > 1) & (step < self._restart)] - 1).sum())
-        periods = np.rint(gap_ns[mine & (gap_ns > 0) & (gap_ns < SECOND_NS)] / self._period_ns).astype(np.int64)
-        self._by_stamps += int(np.maximum(periods - 1, 0).sum())
-        follows = mine & (abs(gap_ns - self._period_ns) <= PERIOD_TOLERANCE * self._period_ns)
-        azimuth: Times = packets["blocks"]["azimuth"][:, 0].astype(np.int64)
-        self._turned += int((np.diff(azimuth) % REVOLUTION)[follows].sum())
-        self._passed_ns += int(gap_ns[follows].sum())
-
-    @property
-    def lost(self) -> int:
-        """The number of lost packets."""
-        return self._counted if self._counts else self._by_stamps * self._full_fov
-
-    @property
-    def rpm(self) -> float:
-        """The head's mean speed; NaN without two consecutive packets."""
-        return self._turned / REVOLUTION / (self._passed_ns / MINUTE_NS) if self._passed_ns else math.nan
 
 
 def sound(packets: Packets, series: Series) -> Flags:
