@@ -21,7 +21,6 @@ if TYPE_CHECKING:
       lidarcfg convert out/two.urdf -o out/again.yaml
       lidarcfg convert out/two.ply -o out/two.laz
       lidarcfg convert out/two.pcap --rig out/two/rig.yaml -o out/two.mcap
-      lidarcfg convert out/two.pcap -o out/two-firings.npz
     """
 )
 @cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a kit, a bag, a cloud or a capture.")
@@ -94,9 +93,6 @@ def convert(
                           folder   kitti-odometry  needs --truth of an export
                           folder   kitti-object  the same: labels, boxes
                           folder   nuscenes      the same: all tables
-                          .npz     firings       all that each laser measured
-    firings: .npz         .pcap    pcap          the capture again
-                          .pcapng  pcapng        the same as pcapng
 
     LAS, bags and MCAP need: pip install 'lidarcfg[convert]'
     """
@@ -121,12 +117,10 @@ def convert(
         return
     if form.kind != "capture" and ((rig and form.kind != "bag") or model or truth):
         raise click.UsageError("--rig, --truth and --model are for captures")
-    if form.name == "firings" and (rig or truth):
-        raise click.UsageError("--rig and --truth are not for firings, which are of each sensor alone")
     if rig and (truth or form.name in formats.FOLDERS):
         what = "--truth goes" if truth else f"{form.name} goes"
         raise click.UsageError(f"{what} by the manifest beside an exported capture, which names the rig; remove --rig")
-    drive = None if rig or form.kind != "capture" or form.name == "firings" else _drive(source, form.name, truth)
+    drive = None if rig or form.kind != "capture" else _drive(source, form.name, truth)
     if drive:
         from lidarcfg.io.drive_dataset import load_drive
 

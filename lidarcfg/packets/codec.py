@@ -6,14 +6,13 @@ small one.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.config.models import Model
-from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.emulator import Emulator, Site
 from lidarcfg.packets.facts import Header, Network
@@ -31,17 +30,6 @@ class KnownSensors(Protocol):
     """Reads the catalogue's sensors of a family: all of them, or the one with a name, if there is one."""
 
     def __call__(self, name: str | None = None) -> Sequence[Sensor]: ...
-
-
-@dataclass(frozen=True)
-class Measurements:
-    """The contents of packets, by their N firings, as `Codec.encode` takes them."""
-
-    return_mode: str
-    batch: Batch
-    range_m: Array  # (N, R) inf: no return
-    reflectivity: Bytes  # (N, R) also where there is no return
-    more: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # the other contents of a family's packets
 
 
 @dataclass(frozen=True)
@@ -204,21 +192,6 @@ class Codec(Timing, Protocol):
 
         Raises PacketError.
         """
-
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """(P,) a number for the return mode of each packet (P, size) of a source."""
-        return np.zeros(len(packets), np.int64)
-
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """The contents of packets (P, size) of one source and one number of `return_modes`.
-
-        `encode_measurements` is the inverse. Raises PacketError; ConfigError if the family cannot do this.
-        """
-        raise ConfigError(f"the packets of {type(self).__name__} cannot be converted to firings")
-
-    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        """(P, size) the packets with these contents."""
-        return self.encode(mount, measured.batch, measured.range_m, measured.reflectivity).data
 
     def emulator(self, source: Source, packets: Bytes, site: Site) -> Emulator | None:
         """What answers drivers as the sensor that sends these packets (P, size) does; None: this family has nothing.

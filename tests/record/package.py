@@ -21,7 +21,6 @@ from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import view
 from lidarcfg.geometry import pose
-from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.placement.analytic import integrate
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
@@ -75,8 +74,6 @@ __all__ = [
     "returns",
     "rig_lidars",
     "rig_of",
-    "save_capture",
-    "save_firings",
     "scans",
     "seen_cuboids",
     "segment",

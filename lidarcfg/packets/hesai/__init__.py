@@ -6,18 +6,17 @@ of the package uses.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Payloads, Source
 from lidarcfg.packets.emulator import Site
 from lidarcfg.packets.hesai import decode, encode, telemetry
 from lidarcfg.packets.hesai.emulator import HesaiEmulator
 from lidarcfg.packets.hesai.layout import bytes_of
-from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, resolutions, sending, unit, unit_of
+from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, unit, unit_of
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Pattern, ranked
 from lidarcfg.sensors.rig import SINGLE, Mount
@@ -56,17 +55,6 @@ class Hesai(Codec):
         headers = self.unit.facts.headers
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 
-    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        """Measurements of protocol 1.4 say which parts packets have, and the resolution."""
-        more = measured.more
-        if "said" not in more:
-            return super().encode_measurements(mount, measured)
-        model, flags, state = map(int, more["said"])
-        unit = sending(self.unit, flags, model)
-        unit = next((one for one in resolutions(unit) if one.operational_state == state), unit)
-        batch = replace(measured.batch, loop=more["loop"].astype(np.int64))
-        return bytes_of(encode.encode(unit, mount, batch, measured.range_m, measured.reflectivity))
-
     def fired_ns(self, mount: Mount, batch: Batch, range_m: Array) -> Times:
         """Some lasers of a Pandar128 have a separate firing for near targets."""
         return encode.fired_ns(unit_of(self.unit, mount), batch, range_m)
@@ -86,12 +74,6 @@ class Hesai(Codec):
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The angle correction file; of protocol 1.4 the firing times, too."""
         return {**telemetry.correction_file(self.unit, mount), **telemetry.firing_times_file(self.unit, mount)}
-
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        return decode.return_modes(decode.as_sent(source.where, self.unit, packets), packets)
-
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        return decode.measurements(decode.as_sent(source.where, self.unit, packets), packets, host_ns)
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:

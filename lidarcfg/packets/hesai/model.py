@@ -258,11 +258,9 @@ def unit(sensor: Sensor) -> Unit:
 
 
 @lru_cache(64)
-def sending(unit: Unit, flags: int, model: int | None = None) -> Unit:
-    """The unit, of protocol 1.4, with these flags in its packets' header, and with that byte 4."""
-    facts = unit.facts.packet
-    models = facts.models if model is None else (model, model)
-    changed = facts.model_copy(update={"flags": flags, "models": models})
+def sending(unit: Unit, flags: int) -> Unit:
+    """The unit, of protocol 1.4, with these flags in its packets' header."""
+    changed = unit.facts.packet.model_copy(update={"flags": flags})
     return Unit(unit.sensor, unit.facts.model_copy(update={"packet": changed}))
 
 

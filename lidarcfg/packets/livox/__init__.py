@@ -16,7 +16,7 @@ from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Payloads, Sourc
 from lidarcfg.packets.emulator import Emulator, Site
 from lidarcfg.packets.livox import decode, encode, telemetry
 from lidarcfg.packets.livox.emulator import LivoxEmulator
-from lidarcfg.packets.livox.layout import bytes_of, headers_of, is_points, packet_of
+from lidarcfg.packets.livox.layout import bytes_of, is_points, packet_of
 from lidarcfg.packets.livox.model import DATA_TYPES, Facts, Settings, Unit, batches, settings, unit
 from lidarcfg.packets.point_fields import LIVOX
 from lidarcfg.sensors.firing import STRONGEST, Batch, Pace
@@ -103,10 +103,6 @@ class Livox(PatternTiming, Codec):
         """Answers discovery and commands."""
         kind, _ = decode.kind_of(source.where, packets)
         return LivoxEmulator(self.unit, kind, source.port, site)
-
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """Packets of each kind of points are converted by themselves."""
-        return headers_of(packets)["type"].astype(np.int64)
 
     def firing_ns(self) -> Times:
         """(L,): the lasers fire in turn."""

@@ -26,8 +26,10 @@ from lidarcfg.packets.livox.layout import (
     point_size,
 )
 from lidarcfg.packets.livox.model import Unit
+from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
 from lidarcfg.sensors.firing import STRONGEST
 
+NUMBERS = 2**16  # of packets
 RESTART = 2**15  # a counter that jumps further was reset
 
 
@@ -40,7 +42,7 @@ class LivoxDecoder(Decoder):
         self._kind = kind
         self._points = points
         self._packet = packet_of(kind, points)
-        self._lost = 0
+        self._losses = PacketLossCounter()
         self.period_ns = round(unit.firing_ns * points)
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
@@ -59,11 +61,10 @@ class LivoxDecoder(Decoder):
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
         number: Times = headers_of(packets)["count"].astype(np.int64)
-        step = np.diff(number) % 2**16
-        self._lost += int((step[wanted[1:] & (step > 1) & (step < RESTART)] - 1).sum())
+        self._losses.add(missing_numbers(number, NUMBERS, RESTART), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        return DecodeStatistics((self._unit.name,), ("strongest",), self._lost, math.nan)
+        return DecodeStatistics((self._unit.name,), ("strongest",), self._losses.lost, math.nan)
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         return decode(self._wanted(packets, wanted), self._kind, self._unit.count)

@@ -13,7 +13,7 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Payloads, Source
 from lidarcfg.packets.emulator import Site
 from lidarcfg.packets.ouster import decode, encode, telemetry
 from lidarcfg.packets.ouster.emulator import OusterEmulator
@@ -79,13 +79,6 @@ class Ouster(Codec):
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The metadata."""
         return {telemetry.SUFFIX: telemetry.metadata_file(self.unit, self._mode(mount), mount)}
-
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """The metadata has the layout."""
-        return decode.measurements(telemetry.find_metadata(source, packets).layout, packets, host_ns)
-
-    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        return encode.encode_measurements(measured)
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Payloads, Source
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, bytes_of, series_of
@@ -81,19 +81,6 @@ class Robosense(SequenceTiming, Codec):
         imu = self.unit.facts.imu
         if imu and mount.settings.checked(Settings).imu:
             yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
-
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """The return modes that DIFOP packets report."""
-        found = decode.return_modes(self.unit, source, packets)
-        if found is not None:
-            return found
-        series = self.unit.series
-        first = decode.undamaged(packets, series)
-        tables = decode.decode_tables(self.unit, source, first, telemetry.find_difop(source, series))
-        return np.full(len(packets), series.modes[tables.return_mode], np.int64)
-
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        return decode.measurements(self.unit, packets, host_ns, self.unit.series.mode_names[mode])
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:

@@ -160,16 +160,6 @@ def find_difop(source: Source, series: Series) -> Difop | None:
     return _read(together[:1], series) if alone else None
 
 
-def all_difops(source: Source, series: Series) -> Packets:
-    """All DIFOP packets of a source of a series in a capture, in their order."""
-    found = [data[(data[:, :8] == list(DIFOP_ID)).all(axis=1)] for data in source.payloads(None, SIZE)]
-    difops: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(series.difop)[:, 0]
-    mine: Packets = difops[difops["msop_port"][:, 0] == source.port]
-    if len(mine):
-        return mine
-    return difops if len(np.unique(difops["serial"], axis=0)) == 1 else difops[:0]
-
-
 def _read(packet: Packets, series: Series) -> Difop:
     """The contents of one packet (1,)."""
     vertical = packet["vertical"][0]

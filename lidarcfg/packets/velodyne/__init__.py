@@ -12,7 +12,7 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Payloads, Source
 from lidarcfg.packets.velodyne import decode, encode, telemetry
 from lidarcfg.packets.velodyne.layout import PACKET, bytes_of, packets_of
 from lidarcfg.packets.velodyne.model import Facts, Settings, Status, Unit, unit
@@ -72,16 +72,6 @@ class Velodyne(SequenceTiming, Codec):
         self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
         return telemetry.position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
-
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        return decode.return_modes(self.unit, packets_of(packets))
-
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        return decode.measurements(self.unit, packets_of(packets), host_ns)
-
-    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        """Keeps intensities where there is no return, and azimuths of 36000, as recorded."""
-        return bytes_of(encode.encode_measurements(self.unit, measured))
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:
