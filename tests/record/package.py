@@ -21,7 +21,6 @@ from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import view
 from lidarcfg.geometry import pose
-from lidarcfg.placement.analytic import integrate
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.front import front
@@ -58,7 +57,6 @@ __all__ = [
     "export",
     "fill",
     "front",
-    "integrate",
     "load_cloud",
     "load_path",
     "load_rig",
