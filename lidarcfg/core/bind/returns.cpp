@@ -137,12 +137,12 @@ void bind_shapes(nb::module_& module) {
 KnownReturns make_known(Scanners scanners, std::vector<const TargetShape*> objects, Rows<const double> places,
                         View<const std::int64_t> ends, const Obstacles& obstacles) {
   require(ends.size() == objects.size() && !ends.empty(), "ends: one for each object");
+  require(ends.front() >= 0 && std::ranges::is_sorted(ends), "ends: not ascending");
   require(ends.back() == places.rows(), "ends: not up to the last place");
   const std::vector<Place> all = places_of(places);
   std::vector<Standing> standing;
   std::int64_t first = 0;
   for (std::size_t n = 0; n < objects.size(); ++n) {
-    require(ends[n] >= first, "ends: not ascending");
     standing.push_back({*objects[n], {all.begin() + first, all.begin() + ends[n]}});
     first = ends[n];
   }
