@@ -462,7 +462,9 @@ class RequirementsRun(MissesRun):
             places = sum(len(one) for one in self._more_places.values())
             remarks.append(f"{places} places joined those that count in a search, as rigs failed")
         self._find_midpoint()
-        found = super().placement(interrupted, _with_reasons(self.study, verdict))
+        if not verdict.passed:
+            verdict = verdict.explained(unachievable(self.study))
+        found = super().placement(interrupted, verdict)
         objective = found.objective
         if self.study.only_required:
             objective = verdict.least_margin
@@ -470,15 +472,3 @@ class RequirementsRun(MissesRun):
             objective = self.study.cost(self.study.poses(self.best_x[None])[0])
         believed = found.believed if self._minimises else None
         return replace(found, objective=objective, believed=believed, remarks=tuple(remarks))
-
-
-def _with_reasons(study: Study, found: Verdict) -> Verdict:
-    """The verdict, with notes where no rig could do better."""
-    if found.passed:
-        return found
-    why = unachievable(study)
-    out = []
-    for one in found.requirements:
-        reason = None if one.passed else one.not_achievable or why.get(one.name)
-        out.append(replace(one, not_achievable=reason))
-    return Verdict(tuple(out))

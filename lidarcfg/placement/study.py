@@ -46,7 +46,7 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
-from lidarcfg.requirements.context import Context, Site
+from lidarcfg.requirements.context import Context, VehicleSite
 from lidarcfg.requirements.file import entries_of
 from lidarcfg.requirements.kind import Entry
 from lidarcfg.requirements.resolved import Requirements, resolved
@@ -479,7 +479,7 @@ def _requirements(
     models = [choice.model for slot in slots.slots for choice in slot.choices if choice] or [
         slot.model or "" for slot in slots.slots
     ]
-    site = Site.of(bodies, obstacles, ground_m, slots.boxes_m)
+    site = VehicleSite.of(bodies, obstacles, ground_m, slots.boxes_m)
     return resolved(found, Context(site, file.robust, prices, len(slots.slots), models))
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 from lidarcfg.requirements.robustness import Robust
 from lidarcfg.requirements.sight import Bounds
@@ -11,7 +12,7 @@ from lidarcfg.world.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class Site:
+class VehicleSite:
     """Where requirements are to be met."""
 
     vehicle: Vehicle | None
@@ -21,7 +22,7 @@ class Site:
     bounds: Bounds | None = None  # the box in which each sensor may be; None: not known
 
     @classmethod
-    def of(cls, vehicle: Vehicle | None, obstacles: Obstacles, ground_m: float, bounds: Bounds | None = None) -> "Site":
+    def of(cls, vehicle: Vehicle | None, obstacles: Obstacles, ground_m: float, bounds: Bounds | None = None) -> Self:
         """The site around a vehicle."""
         return cls(vehicle, Footprint.of(vehicle.scene.mesh()) if vehicle else None, obstacles, ground_m, bounds)
 
@@ -30,7 +31,7 @@ class Site:
 class Context:
     """What a study has that its requirements do not say themselves."""
 
-    site: Site
+    site: VehicleSite
     robust: Robust | None = None
     prices: Mapping[str, float] = field(default_factory=dict)  # by model
     sensors: int | None = None  # how many there are; None: not known

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.requirements.context import Context, Site
+from lidarcfg.requirements.context import Context, VehicleSite
 from lidarcfg.requirements.kind import Entry, Requirement
 from lidarcfg.requirements.robustness import Robust
 
@@ -14,7 +14,7 @@ class Requirements:
     """What a rig must see, and what it has to withstand."""
 
     items: tuple[Requirement, ...]
-    site: Site
+    site: VehicleSite
     robust: Robust | None = None
 
     @property

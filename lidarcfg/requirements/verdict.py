@@ -1,7 +1,8 @@
 """The verdict: whether a rig meets its requirements, by how much, and where it comes closest to missing each."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 
@@ -152,6 +153,11 @@ class Verdict:
     def least_margin(self) -> float:
         """The least relative margin."""
         return min((one.relative_margin for one in self.requirements), default=math.inf)
+
+    def explained(self, why: Mapping[str, str]) -> "Verdict":
+        """The verdict with why no rig can meet some requirements, by name, where these are not met."""
+        out = [one if one.passed else replace(one, not_achievable=why.get(one.name)) for one in self.requirements]
+        return Verdict(tuple(out))
 
     def to_dict(self) -> dict[str, Any]:
         """As a JSON object."""

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lidarcfg.config.models import Model, Position, validation_error
-from lidarcfg.requirements.context import Site
+from lidarcfg.requirements.context import VehicleSite
 from lidarcfg.requirements.kind import Entry
 from lidarcfg.returns.places import Sector, Zone
 from lidarcfg.world.footprint import Footprint
@@ -32,12 +32,12 @@ class ZoneBoxFile(Model):
                 raise validation_error(f"{high:g} is not above min_m's {low:g}", "max_m", axis)
         return self
 
-    def zone(self, site: Site) -> Zone:
+    def zone(self, site: VehicleSite) -> Zone:
         """The zone, seen from above."""
         return Zone(site.body, box_m=(np.array(self.min_m[:2]), np.array(self.max_m[:2])))
 
 
-def body_of(entry: Entry, site: Site) -> Footprint:
+def body_of(entry: Entry, site: VehicleSite) -> Footprint:
     """The vehicle's body, which a requirement needs. Raises ConfigError without one."""
     if site.body is None:
         raise entry.error(f"needs {NO_VEHICLE}", entry.item.key)
@@ -45,7 +45,7 @@ def body_of(entry: Entry, site: Site) -> Footprint:
 
 
 def zone_within(
-    entry: Entry, site: Site, within_m: tuple[float, float] | None, sector_deg: tuple[float, float] | None = None
+    entry: Entry, site: VehicleSite, within_m: tuple[float, float] | None, sector_deg: tuple[float, float] | None = None
 ) -> Zone:
     """The zone around the body. Raises ConfigError without one."""
     if site.body is None and within_m:
