@@ -15,10 +15,9 @@ from lidarcfg.geometry import Array
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import RETURN_TYPES, Batch
 from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.tasks import (
-    START_NS,
-    Drive,
     SimulationOptions,
     Task,
     TaskRunner,
@@ -27,6 +26,7 @@ from lidarcfg.simulate.tasks import (
     fired_fraction,
     map_chunks,
 )
+from lidarcfg.units import START_NS
 from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene

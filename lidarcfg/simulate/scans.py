@@ -19,17 +19,16 @@ from lidarcfg.packets.families import timing
 from lidarcfg.sensors.firing import NO_ELEVATIONS, RETURN_TYPES, Batch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.simulate.drive import Drive, object_names
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.tasks import (
     CHUNK_RAYS,
-    Drive,
     SimulationOptions,
     Task,
     TaskRunner,
     build_tasks,
     map_chunks,
     most_returns_per_ns,
-    object_names,
 )
 from lidarcfg.units import MINUTE_NS
 

@@ -16,17 +16,16 @@ from lidarcfg.geometry import Array
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Timing
 from lidarcfg.sensors.pattern_timing import in_view
-from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Range
+from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.simulator import RayCounts, Simulator
 from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.motion import Trajectory
-from lidarcfg.world.scene import Scene
 from lidarcfg.world.tracer import Tracer
-from lidarcfg.world.vehicle import Vehicle, check_outside
+from lidarcfg.world.vehicle import check_outside
 
-START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export is repeatable
 CHUNK_NS = 1_000_000_000  # traced at a time, at most: each chunk has a fixed cost
 CHUNK_RAYS = 196_608  # the same in rays
 AHEAD = 1  # chunks of a sensor that are traced while others are written
@@ -43,23 +42,6 @@ class SimulationOptions:
     on_rays: OnRays = lambda counts: None  # the numbers of rays of each chunk
     chunk_ns: int = CHUNK_NS  # traced at a time, at most
     threads: int | None = None  # none: as many as cores
-
-
-@dataclass(frozen=True)
-class Drive:
-    """A rig on a vehicle that stands or drives in a scene, for a while."""
-
-    rig: Rig
-    scene: Scene
-    trajectory: Trajectory
-    vehicle: Vehicle | None
-    start_ns: int
-    duration_ns: int
-
-
-def object_names(scene: Scene, vehicle: Vehicle | None) -> tuple[str, ...]:
-    """The names of the objects in the ground truth: the scene's, then the vehicle's with `vehicle/` in front."""
-    return scene.names + (tuple(f"vehicle/{name}" for name in vehicle.scene.names) if vehicle else ())
 
 
 @dataclass(frozen=True)

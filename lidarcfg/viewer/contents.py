@@ -10,7 +10,7 @@ import numpy as np
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.ground_truth import Objects, load_objects, own_objects
-from lidarcfg.capture.manifest import Input, load_manifest, manifest_path
+from lidarcfg.capture.manifest import DriveInputs, Input, load_manifest, manifest_path
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_arrays
 from lidarcfg.config import kinds
@@ -243,18 +243,6 @@ def _at_most_one(paths: list[Path], what: str) -> Path | None:
     if len(paths) > 1:
         raise ConfigError(f"{paths[1]}: is a second {what} beside {paths[0]}; allowed: one")
     return paths[0] if paths else None
-
-
-@dataclass(frozen=True)
-class DriveInputs:
-    """The rig that recorded captures, where and when; unknown parts are None."""
-
-    rig: Path | None = None
-    scene: Path | None = None
-    vehicle: Path | None = None
-    trajectory: Path | None = None
-    at: str | None = None  # X,Y,YAW_DEG
-    start: str | None = None  # ISO 8601
 
 
 def complete_inputs(
