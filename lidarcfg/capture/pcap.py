@@ -20,6 +20,7 @@ from lidarcfg.geometry import Times
 from lidarcfg.inputs import check_regular
 from lidarcfg.units import SECOND_NS
 
+SUFFIXES = (".pcap", ".pcapng", ".cap")
 SECTION = b"\x0a\x0d\x0d\x0a"  # the first block's type, the same in either byte order
 ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}  # of bytes in a section, by its magic number
 INTERFACE = 1  # types of blocks
@@ -157,6 +158,16 @@ class Datagram:
     port: int  # the one it was sent to
     payload: bytes
     later_ns: int = 0  # than it was captured, if it is sent again
+
+
+def is_capture(path: Path) -> bool:
+    """Whether a file is a capture by its suffix, or else by its first bytes. Raises OSError."""
+    if path.suffix.lower() in SUFFIXES:
+        return True
+    check_regular(path)
+    with path.open("rb") as file:
+        first = file.read(4)
+    return first in PCAP_MAGIC or first == SECTION
 
 
 def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:

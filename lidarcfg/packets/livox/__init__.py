@@ -96,12 +96,12 @@ class Livox(PatternTiming, Codec):
         return decode.identify(packets, [unit(one) for one in known()]).sensor
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        kind, points = decode.kind_of(source.where, packets)
+        kind, points = decode.points_of(source.where, packets)
         return decode.LivoxDecoder(source.where, self.unit, kind, points)
 
     def emulator(self, source: Source, packets: Bytes, site: Site) -> Emulator:
         """Answers discovery and commands."""
-        kind, _ = decode.kind_of(source.where, packets)
+        kind, _ = decode.points_of(source.where, packets)
         return LivoxEmulator(self.unit, kind, source.port, site)
 
     def firing_ns(self) -> Times:

@@ -158,7 +158,7 @@ def sound(data: Bytes, kind: DataType) -> Flags:
     return np.asarray(good)
 
 
-def kind_of(where: str, data: Bytes) -> tuple[DataType, int]:
+def points_of(where: str, data: Bytes) -> tuple[DataType, int]:
     """What most of these packets (P, size) hold, and how many points each. Raises PacketError."""
     kinds, counts = np.unique(headers_of(data)["type"], return_counts=True)
     kind = int(kinds[counts.argmax()])
