@@ -53,7 +53,7 @@ RECORDS_ALIKE = 32  # consecutive records of one length, after which more are ex
 RECORDS_AHEAD = 1024  # records that are then compared together
 
 
-class Frame(NamedTuple):
+class LinkFrame(NamedTuple):
     """What a packet block holds."""
 
     link: int
@@ -85,7 +85,7 @@ class _Interface(NamedTuple):
         return min(max(ticks + self.offset_s * SECOND_NS, 0), LATEST_NS)
 
 
-def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[Frame]:
+def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[LinkFrame]:
     """The frames of a pcapng up to the first block that is not whole. Raises PacketError."""
     count = 0
     interfaces = list[_Interface]()
@@ -104,7 +104,7 @@ def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -
                 content = block.body[PACKET_HEAD : PACKET_HEAD + size]
                 if len(content) < size:
                     raise ValueError
-                yield Frame(link.link, link.time_ns(high, low), content)
+                yield LinkFrame(link.link, link.time_ns(high, low), content)
                 count += 1
             elif block.kind == SIMPLE_PACKET:
                 raise PacketError(f"{name}: has simple packet blocks, which have no times; allowed: enhanced ones")
@@ -348,7 +348,7 @@ def _pcapng_pieces(file: IO[bytes], name: str, on_warning: Callable[[str], None]
         _checked_link(min(links), name)
 
 
-def _piece(link: int, frames: list[Frame]) -> Piece:
+def _piece(link: int, frames: list[LinkFrame]) -> Piece:
     time_ns, size = np.array([(one.time_ns, len(one.content)) for one in frames], np.int64).T
     data = np.frombuffer(b"".join(one.content for one in frames), np.uint8)
     return Piece(link, time_ns, np.cumsum(size) - size, size, data)

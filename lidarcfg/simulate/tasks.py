@@ -14,7 +14,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import Array
 from lidarcfg.packets.families import timing
-from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Timing
+from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Timing
 from lidarcfg.sensors.pattern_timing import in_view
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Range
@@ -99,7 +99,7 @@ def fired_fraction(mount: Mount) -> float:
     return ((high - low) % 360.0 or 360.0) / 360.0
 
 
-def most_returns_per_ns(mount: Mount, pace: Pace) -> float:
+def most_returns_per_ns(mount: Mount, pace: PacketPace) -> float:
     """The rate of a mount's returns if each ray returns."""
     return pace.firings * fired_fraction(mount) * len(RETURN_TYPES[mount.return_mode]) / pace.period_ns
 
@@ -195,7 +195,7 @@ class TaskRunner:
         return cls(threads, Progress(sensors, options.on_progress), options.on_rays)
 
 
-def map_chunks(task: Task, runner: TaskRunner, make: Callable[[Batch, Echoes], T]) -> Iterator[T]:
+def map_chunks(task: Task, runner: TaskRunner, make: Callable[[FiringBatch, Echoes], T]) -> Iterator[T]:
     """The results of `make` for the firings and echoes of each non-empty chunk, in the order of time, on threads."""
     timing = task.timing
     mount = task.mount
@@ -204,7 +204,7 @@ def map_chunks(task: Task, runner: TaskRunner, make: Callable[[Batch, Echoes], T
     total = task.duration_ns // pace.period_ns
     packets = max(min(task.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * simulator.width)), 1)
 
-    def work(batch: Batch, first: int) -> tuple[T, RayCounts] | None:
+    def work(batch: FiringBatch, first: int) -> tuple[T, RayCounts] | None:
         if not len(batch.sent_ns):
             return None
         found, counts = simulator.echoes(batch.firings, first)
@@ -223,7 +223,7 @@ def map_chunks(task: Task, runner: TaskRunner, make: Callable[[Batch, Echoes], T
             runner.progress.set(task.index, done_ns if number * packets < total else task.duration_ns)
 
 
-def _numbered(batches: Iterable[Batch]) -> Iterator[tuple[Batch, int]]:
+def _numbered(batches: Iterable[FiringBatch]) -> Iterator[tuple[FiringBatch, int]]:
     """Each batch with the number of its first firing."""
     first = 0
     for batch in batches:
