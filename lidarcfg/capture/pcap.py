@@ -20,6 +20,7 @@ from lidarcfg.geometry import Times
 from lidarcfg.inputs import check_regular
 from lidarcfg.units import SECOND_NS
 
+SUFFIXES = (".pcap", ".pcapng", ".cap")
 SECTION = b"\x0a\x0d\x0d\x0a"  # the first block's type, the same in either byte order
 ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}  # of bytes in a section, by its magic number
 INTERFACE = 1  # types of blocks
@@ -52,7 +53,7 @@ RECORDS_ALIKE = 32  # consecutive records of one length, after which more are ex
 RECORDS_AHEAD = 1024  # records that are then compared together
 
 
-class Frame(NamedTuple):
+class LinkFrame(NamedTuple):
     """What a packet block holds."""
 
     link: int
@@ -84,7 +85,7 @@ class _Interface(NamedTuple):
         return min(max(ticks + self.offset_s * SECOND_NS, 0), LATEST_NS)
 
 
-def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[Frame]:
+def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[LinkFrame]:
     """The frames of a pcapng up to the first block that is not whole. Raises PacketError."""
     count = 0
     interfaces = list[_Interface]()
@@ -103,7 +104,7 @@ def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -
                 content = block.body[PACKET_HEAD : PACKET_HEAD + size]
                 if len(content) < size:
                     raise ValueError
-                yield Frame(link.link, link.time_ns(high, low), content)
+                yield LinkFrame(link.link, link.time_ns(high, low), content)
                 count += 1
             elif block.kind == SIMPLE_PACKET:
                 raise PacketError(f"{name}: has simple packet blocks, which have no times; allowed: enhanced ones")
@@ -157,6 +158,16 @@ class Datagram:
     port: int  # the one it was sent to
     payload: bytes
     later_ns: int = 0  # than it was captured, if it is sent again
+
+
+def is_capture(path: Path) -> bool:
+    """Whether a file is a capture by its suffix, or else by its first bytes. Raises OSError."""
+    if path.suffix.lower() in SUFFIXES:
+        return True
+    check_regular(path)
+    with path.open("rb") as file:
+        first = file.read(4)
+    return first in PCAP_MAGIC or first == SECTION
 
 
 def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:
@@ -337,7 +348,7 @@ def _pcapng_pieces(file: IO[bytes], name: str, on_warning: Callable[[str], None]
         _checked_link(min(links), name)
 
 
-def _piece(link: int, frames: list[Frame]) -> Piece:
+def _piece(link: int, frames: list[LinkFrame]) -> Piece:
     time_ns, size = np.array([(one.time_ns, len(one.content)) for one in frames], np.int64).T
     data = np.frombuffer(b"".join(one.content for one in frames), np.uint8)
     return Piece(link, time_ns, np.cumsum(size) - size, size, data)

@@ -7,10 +7,10 @@ import click
 import cloup
 
 from lidarcfg.cli.completion import complete_model
-from lidarcfg.cli.options import FILE, load_trajectory, nanoseconds, quiet_option, warn
+from lidarcfg.cli.options import FILE, quiet_option, warn
 
 if TYPE_CHECKING:
-    from lidarcfg.simulate.tasks import Drive
+    from lidarcfg.simulate.drive import Drive
 
 
 @cloup.command(
@@ -161,11 +161,6 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
     from lidarcfg.capture.manifest import load_manifest, manifest_path
     from lidarcfg.errors import ConfigError
     from lidarcfg.io.formats import FOLDERS
-    from lidarcfg.sensors.rig import load_rig
-    from lidarcfg.simulate.tasks import Drive
-    from lidarcfg.units import SECOND_NS
-    from lidarcfg.world.scene import load_scene
-    from lidarcfg.world.vehicle import resolve_vehicle
 
     beside = manifest_path(capture)
     if not beside.exists():
@@ -176,17 +171,8 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
         raise click.UsageError(
             f"{name} needs the objects of points; give the --truth that export wrote with the capture"
         )
-    manifest = load_manifest(capture)
     hint = "--rig takes the sensors' poses alone" if name not in FOLDERS and not truth else "export it again"
-    rig = manifest.input_path("rig", hint)
-    scene = manifest.input_path("scene", hint)
-    trajectory = manifest.input_path("trajectory", hint)
-    vehicle = manifest.input_path("vehicle", hint)
-    assert rig
-    if not scene:
+    inputs = load_manifest(capture).inputs(hint)
+    if not inputs.scene:
         raise ConfigError(f"{beside}: names no scene; export with the scene's file")
-    mounted = load_rig(rig)
-    start_ns = nanoseconds(manifest.start)
-    moved = load_trajectory(trajectory, manifest.at, start_ns)
-    duration_ns = round(manifest.duration_s * SECOND_NS)
-    return Drive(mounted, load_scene(scene), moved, resolve_vehicle(mounted, vehicle), start_ns, duration_ns)
+    return inputs.load()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from lidarcfg.clouds.cloud import PointCloud, load_cloud, save_clouds
+from lidarcfg.config.kinds import YAML_SUFFIXES
 from lidarcfg.errors import ConversionError
 from lidarcfg.files import replacing, replacing_folder
 from lidarcfg.io.bag_reader import SUFFIXES, is_bag
@@ -19,8 +20,8 @@ Kind = Literal["rig", "kit", "bag", "cloud", "capture", "drive"]
 OnWarning = Callable[[str], None]
 
 INPUTS: dict[Kind, tuple[str, ...]] = {
-    "rig": (".yaml", ".yml", ".json"),
-    "kit": (*URDF_SUFFIXES, ".yaml", ".yml", ".json", ".txt"),
+    "rig": YAML_SUFFIXES,
+    "kit": (*URDF_SUFFIXES, *YAML_SUFFIXES, ".txt"),
     "bag": SUFFIXES,
     "cloud": (".ply", ".pcd", ".npz", ".las", ".laz", ".bin"),
     "capture": (".pcap", ".pcapng"),

@@ -24,9 +24,10 @@ from lidarcfg.requirements.sight import Bounds, LineOfSight, earliest_sight, pla
 from lidarcfg.returns.counts import LOW_M
 from lidarcfg.sensors.firing import Firings, joined
 from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import firing_ends
-from lidarcfg.simulate.tasks import CHUNK_NS, START_NS, Drive, Task, build_tasks
-from lidarcfg.units import SECOND_NS
+from lidarcfg.simulate.tasks import CHUNK_NS, Task, build_tasks
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.vehicle import Vehicle
 
 SLACK = 1e-9  # of a cosine, for rounding

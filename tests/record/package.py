@@ -32,7 +32,7 @@ from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.subspace import seen_cuboids, segment
 from lidarcfg.returns.counts import returns
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.motion import Trajectory, build_path, load_path
 from lidarcfg.world.tracer import NO_OBSTACLES, Tracer
 from lidarcfg.world.vehicle import load_vehicle

@@ -19,8 +19,7 @@ from lidarcfg.requirements.sight import earliest_sight, places_within
 from lidarcfg.returns.counts import LOW_M
 from lidarcfg.returns.target import ObjectFile
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.boxes import boxed_objects
 from lidarcfg.world.vehicle import load_vehicle
 from tests.naive import scenario as naive

@@ -12,7 +12,7 @@ from lidarcfg import maths
 from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Returns
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics
 from lidarcfg.packets.hesai.layout import (
     HEADER,
     MODES,
@@ -61,7 +61,7 @@ class PacketFields(NamedTuple):
     turn: Array  # (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
 
 
-class Lasers(NamedTuple):
+class HesaiLasers(NamedTuple):
     """The angles of the L lasers and when they fire."""
 
     cos_elevation: Array
@@ -118,13 +118,13 @@ class HesaiDecoder(Decoder):
         rpm = self._speeds * unit_rpm / self._packets if self._packets else math.nan
         return DecodeStatistics((self._unit.name,), tuple(sorted(self._modes)), self._losses.lost, rpm)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False, driver_view=self._driver_view)
 
 
 def decode(
     unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True, driver_view: bool = False
-) -> Returns:
+) -> DecodedReturns:
     """The returns of packets (P,), or of those that are wanted (P,). Without `polar`, ranges and azimuths are empty.
 
     All lasers of a block point where its azimuth says, as published drivers have it: see docs/hesai.md. With
@@ -153,7 +153,7 @@ def decode(
     )
     data = bytes_of(packets)
     decoder = _decoder(unit)
-    out = Returns.allocate(decoder.count(data, wanted), polar)
+    out = DecodedReturns.allocate(decoder.count(data, wanted), polar)
     return out.first(decoder.decode(data, wanted, fields, out))
 
 
@@ -230,7 +230,7 @@ def _other(name: str, key: str, right: int | str, value: int) -> str:
 @lru_cache
 def _decoder(unit: Unit) -> core.HesaiDecoder:
     sensor = unit.sensor
-    lasers = Lasers(
+    lasers = HesaiLasers(
         cos_elevation=maths.cos(sensor.elevation_rad),
         sin_elevation=maths.sin(sensor.elevation_rad),
         cos_offset=maths.cos(sensor.azimuth_offset_rad),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Returns
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics
 from lidarcfg.packets.livox.encode import DEGREES, returns
 from lidarcfg.packets.livox.layout import (
     HEADER,
@@ -66,7 +66,7 @@ class LivoxDecoder(Decoder):
     def statistics(self) -> DecodeStatistics:
         return DecodeStatistics((self._unit.name,), ("strongest",), self._losses.lost, math.nan)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         return decode(self._wanted(packets, wanted), self._kind, self._unit.count)
 
     def driver_columns(self, packets: Bytes, wanted: Flags) -> Mapping[str, NDArray[Any]]:
@@ -79,7 +79,7 @@ class LivoxDecoder(Decoder):
         return found
 
 
-def decode(packets: Packets, kind: DataType, lines: int) -> Returns:
+def decode(packets: Packets, kind: DataType, lines: int) -> DecodedReturns:
     """The returns in packets (P,), from a sensor with this many lasers, which fire in turn."""
     points = packets["points"]
     rows = returns(points, kind)
@@ -103,7 +103,7 @@ def decode(packets: Packets, kind: DataType, lines: int) -> Returns:
     else:
         for i, axis in enumerate("xyz"):
             np.divide(column(points[axis]), units, out=xyz_m[:, i])
-    return Returns(
+    return DecodedReturns(
         xyz_m=xyz_m,
         range_m=np.empty(0),
         azimuth_rad=np.empty(0),
@@ -158,7 +158,7 @@ def sound(data: Bytes, kind: DataType) -> Flags:
     return np.asarray(good)
 
 
-def kind_of(where: str, data: Bytes) -> tuple[DataType, int]:
+def points_of(where: str, data: Bytes) -> tuple[DataType, int]:
     """What most of these packets (P, size) hold, and how many points each. Raises PacketError."""
     kinds, counts = np.unique(headers_of(data)["type"], return_counts=True)
     kind = int(kinds[counts.argmax()])

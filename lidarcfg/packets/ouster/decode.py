@@ -10,7 +10,7 @@ from lidarcfg import maths
 from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times, product, transform
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Returns
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics
 from lidarcfg.packets.loss import HeadSpeed, PacketLossCounter, missing_numbers
 from lidarcfg.packets.ouster.layout import (
     LEGACY_VALID,
@@ -25,7 +25,7 @@ from lidarcfg.sensors.firing import LAST, SECOND, STRONGEST
 ENDS = "", "2"  # of the names of the first and of the second return's fields
 
 
-class Profile(NamedTuple):
+class ReturnLayout(NamedTuple):
     """Where a column's status and a pixel's returns are."""
 
     status: int  # the byte of a column's word that says whether it is valid
@@ -35,7 +35,7 @@ class Profile(NamedTuple):
     unit_m: float  # of a range
 
 
-class Beams(NamedTuple):
+class PixelBeams(NamedTuple):
     """The L pixels of a column, in a frame whose z is the axis."""
 
     ahead: Array  # (L,) parts of the directions where the encoder's angle is 0
@@ -104,11 +104,11 @@ class OusterDecoder(Decoder):
         modes = ("strongest",) if self._layout.profile.returns == 1 else ("dual",)
         return DecodeStatistics((self._model,), modes, self._losses.lost, self._speed.rpm)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         layout = self._layout
         packets = np.ascontiguousarray(_select(packets, wanted))
         pixels = len(packets) * layout.columns_per_packet * layout.pixels
-        returns = Returns.allocate(pixels * layout.profile.returns)
+        returns = DecodedReturns.allocate(pixels * layout.profile.returns)
         count = core.decode_points(
             packets,
             layout,
@@ -150,12 +150,12 @@ def _select(packets: Bytes, wanted: Flags) -> Bytes:
     return packets[rows[0] : rows[-1] + 1] if consecutive else packets[wanted]
 
 
-def _profile(layout: Layout) -> Profile:
+def _profile(layout: Layout) -> ReturnLayout:
     ends = ENDS[: layout.profile.returns]
     ranges, reflectivities = ([layout.profile.fields[name + end] for end in ends] for name in ("range", "reflectivity"))
     assert all(field.bit % 32 == 0 for field in ranges)
     assert all((field.bit % 8, field.bits) == (0, 8) for field in reflectivities)
-    return Profile(
+    return ReturnLayout(
         status=layout.column - 4 if layout.legacy else 8,
         status_mask=LEGACY_VALID if layout.legacy else 1 << 16,
         returns=np.array(
@@ -166,7 +166,7 @@ def _profile(layout: Layout) -> Profile:
     )
 
 
-def _beams(metadata: Metadata) -> Beams:
+def _beams(metadata: Metadata) -> PixelBeams:
     """All pixels of a column: in the sensor's frame, if the lidar stands upright in it, or else in the lidar's."""
     T = metadata.T_sensor_lidar if _upright(metadata.T_sensor_lidar) else np.eye(4)
     flat = maths.cos(metadata.elevation_rad)
@@ -176,7 +176,7 @@ def _beams(metadata: Metadata) -> Beams:
     heading = product(np.stack([maths.cos(angle), maths.sin(angle)], axis=1), T[:2, :2].T)
     return_types = STRONGEST, LAST if metadata.nearest_first else SECOND
     x, y, z = T[:3, 3].tolist()
-    return Beams(
+    return PixelBeams(
         ahead=flat * maths.cos(metadata.azimuth_rad),
         right=flat * maths.sin(metadata.azimuth_rad),
         up=maths.sin(metadata.elevation_rad),

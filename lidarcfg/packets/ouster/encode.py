@@ -16,7 +16,7 @@ from lidarcfg.packets.ouster.layout import (
     unpack,
 )
 from lidarcfg.packets.ouster.model import Mode, Unit, in_window, measurements
-from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.firing import FiringBatch
 
 BYTE = np.arange(256.0)
 # Per cent of a white target's light that a reflectivity says: above 100 it doubles with each 16, as a recorded OS2's
@@ -35,7 +35,7 @@ class RangeLimits(NamedTuple):
     most_units: float
 
 
-def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: Bytes) -> Bytes:
+def encode(unit: Unit, mode: Mode, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Bytes:
     """(P, size): as `Codec.encode` says. Near-infrared light is none.
 
     Of two returns the nearer comes first, or the stronger, as the metadata says.

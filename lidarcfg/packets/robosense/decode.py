@@ -10,7 +10,7 @@ from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Returns, Source
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics, PacketSource
 from lidarcfg.packets.loss import HeadSpeed, PacketLossCounter, following, missing_numbers, missing_periods
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
@@ -29,7 +29,7 @@ from lidarcfg.packets.robosense.telemetry import Difop
 from lidarcfg.units import SECOND_NS
 
 RESTART = 2**16  # a counter that jumps further was reset; or by half of its range
-SINGLE_KINDS = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single returns, as `Returns` has them
+SINGLE_KINDS = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types, as in `DecodedReturns`
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class DecodeTables:
         unit = self.unit
         sensor = unit.sensor
         schedule = unit.firing_schedule(self.dual)
-        lasers = blocks.Lasers(
+        lasers = blocks.BlockLasers(
             elevation=self.elevation_rad,
             azimuth_offset=self.azimuth_offset_rad,
             forward=sensor.forward_offset_m,
@@ -71,7 +71,7 @@ class DecodeTables:
         )
 
 
-def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> DecodeTables:
+def decode_tables(unit: Unit, source: PacketSource, first: Packets, difop: Difop | None) -> DecodeTables:
     """The tables, with the DIFOP packet's angles or else the file's, if these packets (P,) are of that model.
 
     Raises PacketError if they are not.
@@ -101,7 +101,7 @@ class RobosenseDecoder(Decoder):
     may be beyond a narrow field of view, so that nothing counts as lost unless the sensor fires all around.
     """
 
-    def __init__(self, source: Source, tables: DecodeTables, full_fov: bool) -> None:
+    def __init__(self, source: PacketSource, tables: DecodeTables, full_fov: bool) -> None:
         self._where = source.where
         self._tables = tables
         self._series = tables.unit.series
@@ -139,11 +139,11 @@ class RobosenseDecoder(Decoder):
         lost = self._losses.lost if self._counts else self._losses_by_stamps.lost * self._full_fov
         return DecodeStatistics((self._tables.unit.name,), (self._tables.return_mode,), lost, self._speed.rpm)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         return decode(self._tables, packets, wanted)
 
 
-def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> Returns:
+def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> DecodedReturns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
     data = np.ascontiguousarray(data)
     stamp_ns = read_time_ns(packets_of(data, tables.unit.series))

@@ -11,7 +11,7 @@ from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, KnownSensors, Returns
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics, KnownSensors
 from lidarcfg.packets.loss import PERIOD_TOLERANCE, HeadSpeed, PacketLossCounter, following, missing_periods
 from lidarcfg.packets.velodyne.layout import (
     HOUR_US,
@@ -87,7 +87,7 @@ class VelodyneDecoder(Decoder):
         models = alike(self._unit, [unit_of(sensor) for sensor in self._known()])
         return DecodeStatistics(models, tuple(sorted(self._modes)), self._losses.lost, self._speed.rpm)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         found = decode(self._unit, packets_of(packets), host_ns, wanted, polar=False)
         if self._last_only:
             found.return_type[:] = 1
@@ -122,7 +122,7 @@ class VelodyneDecoder(Decoder):
 
 def decode(
     unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags | None = None, polar: bool = True
-) -> Returns:
+) -> DecodedReturns:
     """The returns of one sensor's successive packets (P,), or of those that are wanted (P,).
 
     The others only say how the head turns before and after. Without `polar`, ranges and azimuths are empty.
@@ -145,10 +145,12 @@ def decode(
         runs.append(_decode(unit, packets[run], host_time_ns[run], wanted[run], bool(dual[start:].any()), polar))
     if len(runs) == 1:
         return runs[0]
-    return Returns(*map(np.concatenate, zip(*runs, strict=True)))
+    return DecodedReturns(*map(np.concatenate, zip(*runs, strict=True)))
 
 
-def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool) -> Returns:
+def _decode(
+    unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool
+) -> DecodedReturns:
     """`decode` for packets that are all dual or all single."""
     facts = unit.packet
     order = slots(facts, dual)
@@ -185,14 +187,14 @@ def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
     sensor = unit.sensor
     near = unit.near_offset_m
     focal = unit.focal
-    slots_ = blocks.Slots(
+    slots_ = blocks.BlockSlots(
         laser=fired[:width] % unit.count,
         fraction=((offset_ns - unit.head_offset_ns) / group_ns - group).reshape(-1, width),
         offset_ns=offset_ns.reshape(-1, width),
         kind=(numbers[:width] % (1 + dual)).astype(np.uint8),
         other=other,
     )
-    lasers = blocks.Lasers(
+    lasers = blocks.BlockLasers(
         elevation=sensor.elevation_rad,
         azimuth_offset=sensor.azimuth_offset_rad,
         forward=np.zeros(unit.count),

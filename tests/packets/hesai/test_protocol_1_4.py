@@ -16,7 +16,7 @@ from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, no_warning
 from tests.naive import hesai14 as naive

@@ -9,7 +9,7 @@ from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.core import packets as core
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai.decode import decode
-from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.firing import FiringBatch
 from tests.capture_fixtures import no_warning
 from tests.naive import hesai as naive
 from tests.packets.hesai.recorded import ALL, QT128, XT16, XT32, mount
@@ -90,7 +90,7 @@ def test_recorded_packets_byte_for_byte(recorded):
         octets[:, 12 : 12 + 8 * 130] = blocks[:, :, ::-1].reshape(len(octets), -1)
     packets = recorded.unit.packets_of(recorded.payloads)
     fired, range_m, reflectivity = measured(recorded.unit, packets)
-    batch = Batch(fired, packets["tail"]["sequence"].astype(np.int64), np.zeros(len(packets), np.int64))
+    batch = FiringBatch(fired, packets["tail"]["sequence"].astype(np.int64), np.zeros(len(packets), np.int64))
     if recorded is XT32:
         range_m = range_m[:, ::-1]
         reflectivity = reflectivity[:, ::-1]

@@ -17,8 +17,7 @@ from lidarcfg.packets.families import codec
 from lidarcfg.packets.robosense.model import unit
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
-from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, no_warning, scene, write_datagrams
