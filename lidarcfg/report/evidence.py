@@ -25,7 +25,7 @@ from lidarcfg.report.canvas import (
 from lidarcfg.report.describe import counted
 from lidarcfg.report.scenario import draw_scenario_on, scenario_rows
 from lidarcfg.requirements.evidence import Evidence, SensorView
-from lidarcfg.requirements.object import PlaceCounts
+from lidarcfg.requirements.place_counts import PlaceCounts
 from lidarcfg.requirements.post_visibility import STEP_M as POST_STEP_M
 from lidarcfg.requirements.post_visibility import PostVisibility
 from lidarcfg.requirements.shadow import HiddenColumns

@@ -7,6 +7,9 @@ search's `trial_rig` is from it. `file` reads requirements of all kinds; `resolv
 `context`. `judges` makes a judge for each, `verify` judges a rig by all of them, `verdict` is the result and `evidence`
 what shows it. `shortfalls` judges many rigs, for searches.
 
+Of objects, `object_requirement` has the requirement and its judge, `place_counts` what an object reaches at places, and
+`refinement` looks between the places of a grid.
+
 Kinds share: `zone`, where something must be seen; `robustness`, the failures and mounting errors that a rig must
 withstand, and `margins`, what they leave of a requirement; `allowed_rigs`, what all rigs of a study can reach.
 `post_visibility` says where posts are seen.

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lidarcfg.requirements.object import ObjectJudge, ObjectRequirement, reached
+from lidarcfg.requirements.object_requirement import ObjectJudge, ObjectRequirement
+from lidarcfg.requirements.place_counts import reached
 from lidarcfg.returns.known import lowest_at
 from lidarcfg.returns.places import Stand, Zone
 from lidarcfg.returns.target import box_target

@@ -12,7 +12,8 @@ from lidarcfg.report.evidence import draw_map
 from lidarcfg.report.html import FailCell
 from lidarcfg.report.verification import margins_table, verdict_table
 from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
-from lidarcfg.requirements.object import CAP_MAX, ObjectJudge, reached
+from lidarcfg.requirements.object_requirement import CAP_MAX, ObjectJudge
+from lidarcfg.requirements.place_counts import reached
 from lidarcfg.requirements.post import PostJudge, PostRequirement
 from lidarcfg.requirements.post_visibility import PostPlaces
 from lidarcfg.requirements.shadow import ShadowJudge

@@ -13,7 +13,8 @@ import shapely
 from lidarcfg.geometry import pose, transform
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
-from lidarcfg.requirements.object import ObjectJudge, ObjectRequirement, reached
+from lidarcfg.requirements.object_requirement import ObjectJudge, ObjectRequirement
+from lidarcfg.requirements.place_counts import reached
 from lidarcfg.requirements.post import PostJudge, PostRequirement
 from lidarcfg.requirements.post_visibility import STEP_M, PostPlaces
 from lidarcfg.requirements.verify import Verifier

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.requirements.object import ObjectJudge
+from lidarcfg.requirements.object_requirement import ObjectJudge
 from lidarcfg.requirements.robustness import Robust, misplaced
 from lidarcfg.returns.scanners import PHASES, scanners_of
 from tests.naive import requirements as naive
