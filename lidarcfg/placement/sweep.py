@@ -26,8 +26,9 @@ from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import Plan, SweepCase, versions
 from lidarcfg.placement.search_run import Placement
+from lidarcfg.placement.solvers.solver import Solver
 from lidarcfg.placement.study import Study, with_solver
-from lidarcfg.placement.study_file import Solver, StudyFile
+from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Rig
 
@@ -363,4 +364,4 @@ def pace(study: Study) -> Pace:
 
 def size(file: StudyFile) -> str:
     """A key of everything that a search's pace depends on."""
-    return file.model_copy(update={"name": "", "solver": Solver(method=file.solver.method)}).model_dump_json()
+    return f"{file.solver.method} {file.model_dump_json(exclude={'solver'})}"
