@@ -285,7 +285,7 @@ def _find_cheapest(
 
     from lidarcfg.placement.cheapest import cheapest
     from lidarcfg.placement.report_inputs import report_inputs
-    from lidarcfg.placement.sweep import Cluster
+    from lidarcfg.placement.workers import Cluster
     from lidarcfg.report.cheapest import (
         COMBINATIONS,
         choice_part,
