@@ -159,7 +159,7 @@ def _solver(values: Any) -> Solver:
         faults = [
             validation_error(f"does not go with {method}; it goes with {' or '.join(owners[key])}", key)
             for key in values
-            if key not in own
+            if key not in own and values[key] is not None
         ]
     else:
         kind = kinds[DEFAULT]  # for the keys that all solvers have

@@ -145,6 +145,11 @@ def test_the_schema_has_it(monkeypatch):
     assert "Evenly spaced values" in json.dumps(schema("study"))
 
 
+def test_a_key_of_another_method_may_be_null(toy, study):
+    """As where a plan varies the method of a study."""
+    assert load_study(study("method: ruler, bees: null")).solver.own_keys == {"values": 5}
+
+
 def test_another_method_keeps_what_all_have(toy, study):
     loaded = load_study(study("method: abc, bees: 9, cycles: 7, seed: 3"))
     changed = with_solver(loaded, method="ruler", values=4, seed=None)
