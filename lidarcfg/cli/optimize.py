@@ -352,9 +352,8 @@ def _find_front(
     from lidarcfg.placement.combinations import combinations
     from lidarcfg.placement.front import front
     from lidarcfg.report.document import Commands
-    from lidarcfg.report.front import load_front_logs, save_front, save_front_log
+    from lidarcfg.report.front import load_front_logs, print_front, save_front, save_front_log
     from lidarcfg.report.results import FRONT, check_writable
-    from lidarcfg.report.tables import print_front
 
     logs = load_front_logs(study, resume, len(combinations(study))) if resume else []
     check_writable(folder, FRONT)

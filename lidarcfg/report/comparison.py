@@ -3,7 +3,7 @@
 import math
 import string
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,15 +27,15 @@ from lidarcfg.report.describe import (
     describe_object,
     describe_origin,
     describe_rig,
-    mounts_table,
     region_rows,
     versions,
 )
 from lidarcfg.report.document import Baseline, Commands
-from lidarcfg.report.html import BestCell, KeyFigure, Table, render
+from lidarcfg.report.evaluation import FAR, mounts_table
+from lidarcfg.report.html import KeyFigure, render
 from lidarcfg.report.misses import describe_interval, percent
 from lidarcfg.report.results import evaluation_dict, to_json
-from lidarcfg.report.robustness import FAR, draw_lost
+from lidarcfg.report.table import COUNT, Cell, Column, Row, Table, as_written, named
 from lidarcfg.report.text import DRAWN, HEAD, truncate
 from lidarcfg.report.verdict import FAIL, PASS, signed
 from lidarcfg.sensors.rig import Rig
@@ -65,15 +65,6 @@ class Contender:
         return f"{self.letter} {truncate(self.rig.name, HEAD)}"
 
 
-@dataclass(frozen=True)
-class ComparisonRow:
-    """A line of the table."""
-
-    what: str
-    values: list[str]
-    best: list[bool]  # none if all are equal, or if more is neither better nor worse
-
-
 def check_count(rigs: int) -> None:
     """Raise ConfigError unless this many rigs can be compared."""
     if not 2 <= rigs <= RIGS_MAX:
@@ -94,20 +85,40 @@ def with_baseline(rig: Rig, file: Path, details: ReportInputs, baseline: Baselin
     return contenders([(str(file), rig, details), (baseline.file, baseline.rig, baseline.details)])
 
 
-def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
-    """The rows of the comparison, rig by rig."""
+def comparison_table(study: Study, rigs: Sequence[Contender]) -> Table:
+    """A row for each figure, a column for each rig; the best of a row is marked, unless all are alike."""
+    caption = (
+        "The best of each row is marked, unless all are alike. Extrapolated values are marked if their error bar "
+        "reaches the best one's."
+    )
+    return Table(caption, [Column(""), *(Column(rig.title, ".6f") for rig in rigs)], _rows(study, rigs))
 
-    def row(what: str, form: str, value: Callable[[Contender], float], sign: int = 0) -> ComparisonRow:
-        texts = [format(value(rig), form) for rig in rigs]
-        values = [sign * float(text.rstrip("%").replace(",", "")) for text in texts]  # as printed
-        best = [sign != 0 and min(values) < max(values) and v == max(values) for v in values]
-        return ComparisonRow(what, texts, best)
+
+def rigs_table(rigs: Sequence[Contender]) -> Table:
+    """What is compared."""
+    columns = [Column("rig"), Column("name"), Column("what it is"), Column("file")]
+    rows = [[rig.letter, named(rig.rig.name), describe_rig(rig.rig), rig.file] for rig in rigs]
+    return Table("The rigs", columns, rows)
+
+
+def _marked(what: str, cells: Sequence[Cell], goodness: Sequence[float]) -> Row:
+    """A row in which the best cells are marked; none if all are alike."""
+    least, most = min(goodness), max(goodness)
+    good = zip(cells, goodness, strict=True)
+    return [what, *(replace(cell, mark="best") if least < most == value else cell for cell, value in good)]
+
+
+def _rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
+    def row(what: str, form: str, value: Callable[[Contender], float], sign: int = 0) -> Row:
+        """A row of numbers; `sign`: 1 if more is better, −1 if less is."""
+        cells = [Cell(value(rig), form=form) for rig in rigs]
+        return _marked(what, cells, [sign * as_written(cell.value, form) for cell in cells])
 
     out = [
         *_verdict_rows(rigs),
         *_misses_rows(rigs, row),
-        row("sensors", ",", lambda rig: len(rig.rig.mounts)),
-        row("beams", ",", lambda rig: beams(rig.rig)),
+        row("sensors", COUNT, lambda rig: len(rig.rig.mounts)),
+        row("beams", COUNT, lambda rig: beams(rig.rig)),
         row("max VSR (m)", ".6f", lambda rig: rig.found.max_vsr_m, -1),
     ]
     if bars := _extrapolated_row(rigs):
@@ -116,7 +127,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
         out.append(row(f"max VSR in {truncate(zone.name, DRAWN)} (m)", ".6f", partial(_zone, i), -1))
     out += _robust_rows(rigs, row)
     out += [
-        row("subspaces", ",", lambda rig: len(rig.found.subspaces)),
+        row("subspaces", COUNT, lambda rig: len(rig.found.subspaces)),
         row("volume of the worst (m³)", ".2f", lambda rig: rig.found.worst[0].volume_m3, -1),
         row("inner radius of the worst (m)", ".3f", lambda rig: rig.found.worst[0].inscribed_radius_m, -1),
         row("largest inner radius of any (m)", ".3f", lambda rig: rig.details.sphere_m, -1),
@@ -136,21 +147,19 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
     return out
 
 
-def _verdict_rows(rigs: Sequence[Contender]) -> list[ComparisonRow]:
+def _verdict_rows(rigs: Sequence[Contender]) -> list[Row]:
     """Whether each requirement is met, and by how much; none without requirements."""
     verdicts = [rig.found.verdict for rig in rigs if rig.found.verdict]
     if len(verdicts) < len(rigs):
         return []
     out = []
     for ones in zip(*(found.requirements for found in verdicts), strict=True):
-        texts = [f"{PASS if one.passed else FAIL} {signed(one.margin, one.unit)}" for one in ones]
-        margins = [one.relative_margin for one in ones]
-        best = [min(margins) < max(margins) and margin == max(margins) for margin in margins]
-        out.append(ComparisonRow(truncate(ones[0].name, DRAWN), texts, best))
+        cells = [Cell(one.margin, f"{PASS if one.passed else FAIL} {signed(one.margin, one.unit)}") for one in ones]
+        out.append(_marked(truncate(ones[0].name, DRAWN), cells, [one.relative_margin for one in ones]))
     return out
 
 
-def _misses_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
+def _misses_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
     """What each rig misses, over all objects and by object; none where that is not known of all."""
     known = [rig.found.misses for rig in rigs if rig.found.misses]
     if len(known) < len(rigs):
@@ -170,7 +179,7 @@ def _zone(i: int, rig: Contender) -> float:
     return rig.found.zones[i].max_vsr_m
 
 
-def _robust_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
+def _robust_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
     """The worst effects of failures and mounting errors; none if they were omitted."""
     known = [rig.found.robustness for rig in rigs]
     if None in known:
@@ -192,7 +201,7 @@ def _growth(angles: bool, rig: Contender) -> float:
     return 1e3 * rig.found.robustness.largest_m(angles) if rig.found.robustness else 0.0
 
 
-def _blind_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
+def _blind_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
     """Volumes by the number of LiDARs, and how far the shadow reaches; none where all see everything."""
     if not rigs[0].found.blind.contours:
         return []
@@ -225,22 +234,24 @@ def _rate(name: str, rig: Contender) -> float:
     return rig.found.detection[name].rate
 
 
-def _extrapolated_row(rigs: Sequence[Contender]) -> ComparisonRow | None:
+def _extrapolated_row(rigs: Sequence[Contender]) -> Row | None:
     """Every rig whose error bar reaches the best rig's is marked."""
     bars = [rig.found.extrapolated for rig in rigs if rig.found.extrapolated]
     if len(bars) < len(rigs):
         return None
-    values = [bar.max_vsr_m for bar in bars]
+    least = min(bar.max_vsr_m for bar in bars)
     reach = min(bar.max_vsr_m + bar.error_m for bar in bars)
-    marked = [bar.max_vsr_m == min(values) or bar.max_vsr_m - bar.error_m <= reach for bar in bars]
-    texts = [f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}" for bar in bars]
-    return ComparisonRow("max VSR, extrapolated (m)", texts, [mark and not all(marked) for mark in marked])
+    marked = [bar.max_vsr_m == least or bar.max_vsr_m - bar.error_m <= reach for bar in bars]
+    cells = [Cell(bar.max_vsr_m, f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}") for bar in bars]
+    return _marked("max VSR, extrapolated (m)", cells, marked)
 
 
 def comparison_dict(study: Study, rigs: Sequence[Contender]) -> dict[str, Any]:
     """What `compare --json` prints and compare.json holds."""
-    table = rows(study, rigs)
-    best = {row.what: [rig.letter for rig, mark in zip(rigs, row.best, strict=True) if mark] for row in table}
+    best = {
+        what.text: [rig.letter for rig, cell in zip(rigs, cells, strict=True) if cell.mark == "best"]
+        for what, *cells in comparison_table(study, rigs).cells
+    }
     return {
         "version": __version__,
         "study": study.file,
@@ -274,7 +285,6 @@ def save_comparison(study: Study, rigs: Sequence[Contender], folder: Path, comma
 
 def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> str:
     """The report as HTML. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
-    lines = rows(study, rigs)
     parts = [rigs[first : first + COLUMNS_MAX] for first in range(0, len(rigs), COLUMNS_MAX)]
     coverage = [(rig.title, rig.rig, rig.details.coverage) for rig in rigs]
     shown = drawings.least_detected([rig.found for rig in rigs])
@@ -285,13 +295,8 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         title=f"Comparison: {study.name}",
         about=f"{len(rigs)} rigs in the study {study.name}; compared by lidarcfg {__version__} on {date()}",
         summary=_summary(rigs),
-        files=Table(
-            "The rigs",
-            ("rig", "what it is", "file"),
-            [[r.title, describe_rig(r.rig), r.file] for r in rigs],
-            texts=(1, 2),
-        ),
-        tables=[_table(lines, rigs, first) for first in range(0, len(rigs), COLUMNS_MAX)],
+        files=rigs_table(rigs),
+        tables=comparison_table(study, rigs).parts(COLUMNS_MAX),
         objects=[(truncate(item.name), describe_object(item)) for item in study.detection],
         region=region_rows(study.region),
         mounts=[(rig.title, mounts_table(rig.rig)) for rig in rigs],
@@ -302,7 +307,7 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
             drawings.compare_worst(f"worst{n}", [(rig.title, rig.rig, rig.found) for rig in part])
             for n, part in enumerate(parts)
         ],
-        lost=draw_lost([(rig.title, rig.found.robustness) for rig in rigs if rig.found.robustness]),
+        lost=drawings.draw_lost([(rig.title, rig.found.robustness) for rig in rigs if rig.found.robustness]),
         sizes=drawings.draw_sizes([(rig.title, rig.details) for rig in rigs]),
         drawn_objects=len(study.detection) > len(shown) and len(shown),
         rings=drawings.draw_rings(rings) if rings else None,
@@ -325,17 +330,3 @@ def _summary(rigs: Sequence[Contender]) -> list[KeyFigure]:
         detail = "the smallest" if more == 0 else f"{more:.1%} above the smallest"
         figures.append(KeyFigure(f"Max VSR of {rig.title}", f"{rig.found.max_vsr_m:.6f} m", detail))
     return figures
-
-
-def _table(lines: Sequence[ComparisonRow], rigs: Sequence[Contender], first: int) -> Table:
-    """The table of the rigs from the `first` on."""
-    part = slice(first, first + COLUMNS_MAX)
-    body = []
-    for row in lines:
-        pairs = zip(row.values[part], row.best[part], strict=True)
-        body.append([row.what, *(BestCell(text) if best else text for text, best in pairs)])
-    caption = (
-        "The best of each row is marked, unless all are alike. Extrapolated values are marked if their error bar "
-        "reaches the best one's."
-    )
-    return Table(caption, ("", *(rig.title for rig in rigs[part])), body)
