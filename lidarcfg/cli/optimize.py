@@ -120,10 +120,10 @@ def optimize(
         from lidarcfg.placement.achievable import unachievable
         from lidarcfg.placement.checks import study_warnings
         from lidarcfg.placement.study import load_study, with_solver
-        from lidarcfg.report.comparison import with_baseline
+        from lidarcfg.report.comparison import print_comparison, with_baseline
         from lidarcfg.report.document import Commands
         from lidarcfg.report.results import RESULTS, check_writable, load_log, save_placement
-        from lidarcfg.report.tables import print_comparison, print_placement
+        from lidarcfg.report.tables import print_placement
 
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)

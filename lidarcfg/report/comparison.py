@@ -36,6 +36,7 @@ from lidarcfg.report.html import KeyFigure, render
 from lidarcfg.report.misses import describe_interval, percent
 from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.report.table import COUNT, Cell, Column, Row, Table, as_written, named
+from lidarcfg.report.terminal import print_table
 from lidarcfg.report.text import DRAWN, HEAD, truncate
 from lidarcfg.report.verdict import FAIL, PASS, signed
 from lidarcfg.sensors.rig import Rig
@@ -244,6 +245,12 @@ def _extrapolated_row(rigs: Sequence[Contender]) -> Row | None:
     marked = [bar.max_vsr_m == least or bar.max_vsr_m - bar.error_m <= reach for bar in bars]
     cells = [Cell(bar.max_vsr_m, f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}") for bar in bars]
     return _marked("max VSR, extrapolated (m)", cells, marked)
+
+
+def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
+    """Print a row for each property, a column for each rig; a star marks the best of a row."""
+    print_table(rigs_table(rigs).without("what it is"))
+    print_table(comparison_table(study, rigs))
 
 
 def comparison_dict(study: Study, rigs: Sequence[Contender]) -> dict[str, Any]:

@@ -1,8 +1,5 @@
 """Results as tables on the terminal."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
 from rich.console import Console
 
 from lidarcfg.placement.blind_spots import BlindSpots
@@ -16,9 +13,6 @@ from lidarcfg.report.terminal import print_facts, print_table, terminal
 from lidarcfg.report.text import MANY, truncate
 from lidarcfg.report.verdict import print_verdict
 from lidarcfg.sensors.rig import Rig
-
-if TYPE_CHECKING:
-    from lidarcfg.report.comparison import Contender
 
 FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
 
@@ -101,14 +95,6 @@ def _print_max_vsr(console: Console, rig: Rig, found: Evaluation) -> None:
         print_table(zones_table(found.zones))
     for line in robust_lines(found.robustness) if found.robustness else ():
         console.print(line)
-
-
-def print_comparison(study: Study, rigs: "Sequence[Contender]") -> None:
-    """Print a row for each property, a column for each rig; a star marks the best of a row."""
-    from lidarcfg.report.comparison import comparison_table, rigs_table  # which loads what pages are made with
-
-    print_table(rigs_table(rigs).without("what it is"))
-    print_table(comparison_table(study, rigs))
 
 
 def blind_lines(blind: BlindSpots) -> list[str]:

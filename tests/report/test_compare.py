@@ -13,9 +13,8 @@ from lidarcfg.placement.extrapolation import Extrapolated
 from lidarcfg.placement.metric import Spheres
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import load_study
-from lidarcfg.report.comparison import comparison, comparison_dict, comparison_table, contenders
+from lidarcfg.report.comparison import comparison, comparison_dict, comparison_table, contenders, print_comparison
 from lidarcfg.report.document import Commands
-from lidarcfg.report.tables import print_comparison
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 from tests.report.test_report import STUDY, read
