@@ -1,8 +1,9 @@
 """The canvas of a report's drawings: SVG in one style, views of the region, numbers that do not overlap."""
 
 import io
+import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,6 @@ from lidarcfg.report.text import DRAWN, printable, truncate
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -52,6 +52,7 @@ STYLE: dict[Any, Any] = {
     "image.composite_image": False,
     "image.interpolation": "none",
     "svg.fonttype": "none",
+    "svg.hashsalt": "lidarcfg",
 }
 LABELS_IN = 0.65  # beside axes or below them: ticks, their labels, and what they count; also their title
 TITLE_IN = 0.3
@@ -63,29 +64,21 @@ def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], No
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    with mpl.rc_context(STYLE | {"svg.hashsalt": f"lidarcfg {name}"}), warnings.catch_warnings():
+    with mpl.rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "(?s)Glyph .* missing")  # the browser has more fonts
         figure = new_figure(WIDTH_IN, height_in)
         draw(figure)
-        lay_out(figure)  # which makes the ticks
-        for number, artist in enumerate(_drawn(figure)):
-            artist.set_gid(f"{name}-{number}")
         file = io.StringIO()
         canvas: Any = FigureCanvasSVG(figure)  # matplotlib has no types here
         canvas.print_svg(file, metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
-    inside = file.getvalue().partition("<svg")[2].partition(">")[2]  # without the namespaces, which HTML knows
-    box = f"0 0 {72 * WIDTH_IN:g} {72 * height_in:g}"
-    return Markup(f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}">{inside}')  # matplotlib escapes texts
-
-
-def _drawn(figure: "Figure") -> "Iterator[Artist]":
-    """All that has an id of its own: the artists, and the boxes and arrows of texts."""
-    from matplotlib.text import Annotation, Text
-
-    yield from figure.findobj()
-    for text in figure.findobj(Text):
-        beside = (text.get_bbox_patch(), text.arrow_patch if isinstance(text, Annotation) else None)
-        yield from (patch for patch in beside if patch)
+    svg = file.getvalue()
+    svg = svg[svg.index("<svg") :]
+    box = re.search(r'viewBox="[^"]*"', svg)
+    assert box
+    svg = re.sub(r"<svg[^>]*>", f'<svg {box[0]} role="img" aria-label="{escape(alt)}">', svg, count=1)
+    used = set(re.findall(r'(?:url\(|href=")#([^")]+)', svg))
+    svg = re.sub(r' id="([^"]*)"', lambda found: f' id="{name}-{found[1]}"' if found[1] in used else "", svg)
+    return Markup(re.sub(r'(url\(|href=")#', rf"\g<1>#{name}-", svg))  # matplotlib escapes the texts
 
 
 def height_in(*rows: float) -> float:
