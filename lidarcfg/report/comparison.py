@@ -1,10 +1,8 @@
 """Rigs side by side in one study: a table of what differs, and one report."""
 
-import math
 import string
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -109,142 +107,126 @@ def _marked(what: str, cells: Sequence[Cell], goodness: Sequence[float]) -> Row:
     return [what, *(replace(cell, mark="best") if least < most == value else cell for cell, value in good)]
 
 
+def _row(what: str, form: str, values: Iterable[float], sign: int = 0) -> Row:
+    """A row of numbers; `sign`: 1 if more is better, −1 if less is."""
+    cells = [Cell(float(value), form=form) for value in values]
+    return _marked(what, cells, [sign * as_written(cell.value, form) for cell in cells])
+
+
 def _rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
-    def row(what: str, form: str, value: Callable[[Contender], float], sign: int = 0) -> Row:
-        """A row of numbers; `sign`: 1 if more is better, −1 if less is."""
-        cells = [Cell(value(rig), form=form) for rig in rigs]
-        return _marked(what, cells, [sign * as_written(cell.value, form) for cell in cells])
-
-    out = [
-        *_verdict_rows(rigs),
-        *_misses_rows(rigs, row),
-        row("sensors", COUNT, lambda rig: len(rig.rig.mounts)),
-        row("beams", COUNT, lambda rig: beams(rig.rig)),
-        row("max VSR (m)", ".6f", lambda rig: rig.found.max_vsr_m, -1),
+    found = [rig.found for rig in rigs]
+    coverage = [rig.details.coverage for rig in rigs]
+    zones = zip(*(one.zones for one in found), strict=True)
+    return [
+        *_verdict_rows(found),
+        *_misses_rows(found),
+        _row("sensors", COUNT, (len(rig.rig.mounts) for rig in rigs)),
+        _row("beams", COUNT, (beams(rig.rig) for rig in rigs)),
+        _row("max VSR (m)", ".6f", (one.max_vsr_m for one in found), -1),
+        *_extrapolated_rows(found),
+        *(
+            _row(f"max VSR in {truncate(ones[0].name, DRAWN)} (m)", ".6f", (one.max_vsr_m for one in ones), -1)
+            for ones in zones
+        ),
+        *_robust_rows(found),
+        _row("subspaces", COUNT, (len(one.subspaces) for one in found)),
+        _row("volume of the worst (m³)", ".2f", (one.worst[0].volume_m3 for one in found), -1),
+        _row("inner radius of the worst (m)", ".3f", (one.worst[0].inscribed_radius_m for one in found), -1),
+        _row("largest inner radius of any (m)", ".3f", (rig.details.sphere_m for rig in rigs), -1),
+        *(
+            _row(f"detection of {truncate(name, DRAWN)}", ".4f", (one.detection[name].rate for one in found), 1)
+            for name in (item.name for item in study.detection)
+        ),
+        *_post_rows(found),
+        *_blind_rows(found),
+        _row("beams across an upright pole, median", "g", (one.median_beams for one in coverage), 1),
+        _row("positions with no beam", ".2%", (one.by_none for one in coverage), -1),
+        _row("positions with one sensor's beams", ".2%", (one.by_one_sensor for one in coverage), -1),
     ]
-    if bars := _extrapolated_row(rigs):
-        out.append(bars)
-    for i, zone in enumerate(rigs[0].found.zones):
-        out.append(row(f"max VSR in {truncate(zone.name, DRAWN)} (m)", ".6f", partial(_zone, i), -1))
-    out += _robust_rows(rigs, row)
-    out += [
-        row("subspaces", COUNT, lambda rig: len(rig.found.subspaces)),
-        row("volume of the worst (m³)", ".2f", lambda rig: rig.found.worst[0].volume_m3, -1),
-        row("inner radius of the worst (m)", ".3f", lambda rig: rig.found.worst[0].inscribed_radius_m, -1),
-        row("largest inner radius of any (m)", ".3f", lambda rig: rig.details.sphere_m, -1),
-    ]
-    for item in study.detection:
-        out.append(row(f"detection of {truncate(item.name, DRAWN)}", ".4f", partial(_rate, item.name), 1))
-    for i, posts in enumerate(rigs[0].found.posts if all(rig.found.posts for rig in rigs) else ()):
-        what = f"post of {posts.height_m:g} m"
-        out.append(row(f"{what}, first seen at most (m)", ".2f", partial(_first_seen, i), -1))
-        out.append(row(f"{what}, longest gap (m)", ".2f", partial(_longest_gap, i), -1))
-    out += _blind_rows(rigs, row)
-    out += [
-        row("beams across an upright pole, median", "g", lambda rig: rig.details.coverage.median_beams, 1),
-        row("positions with no beam", ".2%", lambda rig: rig.details.coverage.by_none, -1),
-        row("positions with one sensor's beams", ".2%", lambda rig: rig.details.coverage.by_one_sensor, -1),
-    ]
-    return out
 
 
-def _verdict_rows(rigs: Sequence[Contender]) -> list[Row]:
+def _verdict_rows(found: Sequence[Evaluation]) -> list[Row]:
     """Whether each requirement is met, and by how much; none without requirements."""
-    verdicts = [rig.found.verdict for rig in rigs if rig.found.verdict]
-    if len(verdicts) < len(rigs):
+    verdicts = [one.verdict for one in found if one.verdict]
+    if len(verdicts) < len(found):
         return []
     out = []
-    for ones in zip(*(found.requirements for found in verdicts), strict=True):
+    for ones in zip(*(verdict.requirements for verdict in verdicts), strict=True):
         cells = [Cell(one.margin, f"{PASS if one.passed else FAIL} {signed(one.margin, one.unit)}") for one in ones]
         out.append(_marked(truncate(ones[0].name, DRAWN), cells, [one.relative_margin for one in ones]))
     return out
 
 
-def _misses_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
+def _misses_rows(found: Sequence[Evaluation]) -> list[Row]:
     """What each rig misses, over all objects and by object; none where that is not known of all."""
-    known = [rig.found.misses for rig in rigs if rig.found.misses]
-    if len(known) < len(rigs):
+    known = [one.misses for one in found if one.misses]
+    if len(known) < len(found):
         return []
-    names = [truncate(one.name, DRAWN) for one in known[0].objects]
+    by_object = zip(*(one.objects for one in known), strict=True)
     return [
-        row("misses", ".2%", lambda rig: rig.found.misses.mean, -1),
-        *(row(f"misses of {name}", ".2%", partial(_missed, number), -1) for number, name in enumerate(names)),
+        _row("misses", ".2%", (one.mean for one in known), -1),
+        *(
+            _row(f"misses of {truncate(ones[0].name, DRAWN)}", ".2%", (one.share for one in ones), -1)
+            for ones in by_object
+        ),
     ]
 
 
-def _missed(number: int, rig: Contender) -> float:
-    return rig.found.misses.objects[number].share if rig.found.misses else math.nan
-
-
-def _zone(i: int, rig: Contender) -> float:
-    return rig.found.zones[i].max_vsr_m
-
-
-def _robust_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
-    """The worst effects of failures and mounting errors; none if they were omitted."""
-    known = [rig.found.robustness for rig in rigs]
-    if None in known:
+def _extrapolated_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """Every rig whose error bar reaches the best rig's is marked; none if one has no bar."""
+    bars = [one.extrapolated for one in found if one.extrapolated]
+    if len(bars) < len(found):
         return []
-    out = []
-    if all(found and found.worst for found in known):
-        out.append(row("max VSR with the worst LiDAR lost (m)", ".6f", _worst_lost, -1))
-    for angles, far in zip((False, True), FAR, strict=True):
-        out.append(row(f"max VSR grows with a mount {far} off (mm)", ".1f", partial(_growth, angles), -1))
-    return out
-
-
-def _worst_lost(rig: Contender) -> float:
-    found = rig.found.robustness
-    return found.worst.max_vsr_m if found and found.worst else rig.found.max_vsr_m
-
-
-def _growth(angles: bool, rig: Contender) -> float:
-    return 1e3 * rig.found.robustness.largest_m(angles) if rig.found.robustness else 0.0
-
-
-def _blind_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
-    """Volumes by the number of LiDARs, and how far the shadow reaches; none where all see everything."""
-    if not rigs[0].found.blind.contours:
-        return []
-    out = [
-        row("shadow (m³)", ",.2f", lambda rig: rig.found.blind.volume_m3, -1),
-        row("volume seen by one LiDAR (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[1]),
-        row("volume seen by two or more (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[2:].sum(), 1),
-    ]
-    for i, contour in enumerate(rigs[0].found.blind.contours):
-        what = f"shadow {contour.directions.height_m:g} m above the ground"
-        out.append(row(f"{what}, largest (m)", ".2f", partial(_blind_spot, i, "largest_m"), -1))
-        out.append(row(f"{what}, area (m²)", ".2f", partial(_blind_spot, i, "area_m2"), -1))
-    return out
-
-
-def _blind_spot(i: int, what: str, rig: Contender) -> float:
-    return float(getattr(rig.found.blind.contours[i], what))
-
-
-def _first_seen(i: int, rig: Contender) -> float:
-    posts = rig.found.posts[i]
-    return float(posts.first_seen_m[posts.known].max())
-
-
-def _longest_gap(i: int, rig: Contender) -> float:
-    return float(np.nanmax(rig.found.posts[i].longest_gap_m))
-
-
-def _rate(name: str, rig: Contender) -> float:
-    return rig.found.detection[name].rate
-
-
-def _extrapolated_row(rigs: Sequence[Contender]) -> Row | None:
-    """Every rig whose error bar reaches the best rig's is marked."""
-    bars = [rig.found.extrapolated for rig in rigs if rig.found.extrapolated]
-    if len(bars) < len(rigs):
-        return None
     least = min(bar.max_vsr_m for bar in bars)
     reach = min(bar.max_vsr_m + bar.error_m for bar in bars)
     marked = [bar.max_vsr_m == least or bar.max_vsr_m - bar.error_m <= reach for bar in bars]
     cells = [Cell(bar.max_vsr_m, f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}") for bar in bars]
-    return _marked("max VSR, extrapolated (m)", cells, marked)
+    return [_marked("max VSR, extrapolated (m)", cells, marked)]
+
+
+def _robust_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """The worst effects of failures and mounting errors; none if they were omitted."""
+    known = [one.robustness for one in found if one.robustness]
+    if len(known) < len(found):
+        return []
+    worst = [one.worst for one in known if one.worst]
+    rows = []
+    if len(worst) == len(known):
+        rows.append(_row("max VSR with the worst LiDAR lost (m)", ".6f", (one.max_vsr_m for one in worst), -1))
+    for angles, far in zip((False, True), FAR, strict=True):
+        growth_mm = (1e3 * one.largest_m(angles) for one in known)
+        rows.append(_row(f"max VSR grows with a mount {far} off (mm)", ".1f", growth_mm, -1))
+    return rows
+
+
+def _post_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """Where posts are seen; none where that is not known of all."""
+    if not all(one.posts for one in found):
+        return []
+    rows = []
+    for ones in zip(*(one.posts for one in found), strict=True):
+        what = f"post of {ones[0].height_m:g} m"
+        first_m = (posts.first_seen_m[posts.known].max() for posts in ones)
+        rows.append(_row(f"{what}, first seen at most (m)", ".2f", first_m, -1))
+        rows.append(_row(f"{what}, longest gap (m)", ".2f", (np.nanmax(posts.longest_gap_m) for posts in ones), -1))
+    return rows
+
+
+def _blind_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """Volumes by the number of LiDARs, and how far the shadow reaches; none where all see everything."""
+    blind = [one.blind for one in found]
+    if not blind[0].contours:
+        return []
+    rows = [
+        _row("shadow (m³)", ",.2f", (one.volume_m3 for one in blind), -1),
+        _row("volume seen by one LiDAR (m³)", ",.2f", (one.seen_by_m3[1] for one in blind)),
+        _row("volume seen by two or more (m³)", ",.2f", (one.seen_by_m3[2:].sum() for one in blind), 1),
+    ]
+    for ones in zip(*(one.contours for one in blind), strict=True):
+        what = f"shadow {ones[0].directions.height_m:g} m above the ground"
+        rows.append(_row(f"{what}, largest (m)", ".2f", (one.largest_m for one in ones), -1))
+        rows.append(_row(f"{what}, area (m²)", ".2f", (one.area_m2 for one in ones), -1))
+    return rows
 
 
 def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:

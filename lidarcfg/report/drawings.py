@@ -39,8 +39,7 @@ from lidarcfg.report.canvas import (
     shade_excluded,
     thinned,
 )
-from lidarcfg.report.describe import cost_label
-from lidarcfg.report.plots import COLOURS, history_top
+from lidarcfg.report.plots import search_view
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
@@ -55,23 +54,8 @@ LEGEND_ROW = 0.12  # of the height of bars
 
 def draw_history(study: Study, found: Placement) -> Markup:
     """Best and mean over the evaluations."""
-
-    def draw(figure: "Figure") -> None:
-        axes = figure.subplots()
-        evaluations = [cycle.evaluations for cycle in found.history]
-        dot = "o" if len(evaluations) < 3 else ""
-        axes.plot(evaluations, [cycle.mean for cycle in found.history], marker=dot, color=COLOURS[5], label="mean")
-        axes.plot(evaluations, [cycle.best for cycle in found.history], marker=dot, color=COLOURS[0], label="best")
-        if study.is_max_vsr:
-            midpoint = found.midpoint_max_vsr_m
-            axes.axhline(midpoint, color="0.4", ls=":", lw=1, label="midpoint of the bounds")
-        if found.believed:
-            axes.axhline(found.objective, color="0.4", ls=":", lw=1, label="the rig chosen, at fresh places")
-        axes.set(xlabel="evaluations", ylabel=cost_label(study), ylim=(0, history_top(study, found)))
-        axes.grid(True)
-        axes.legend(loc="best")
-
-    return drawing("history", 2.9, "best and mean of the search over its evaluations", draw)
+    alt = "best and mean of the search over its evaluations"
+    return drawing("history", 2.9, alt, lambda figure: search_view(figure.subplots(), study, found))
 
 
 def worst_view(axes: "Axes", view: str, rig: Rig, found: Evaluation, count: int) -> None:
