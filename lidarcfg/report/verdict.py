@@ -20,7 +20,7 @@ def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
         Column("requirement"),
         Column("verdict"),
         *(Column(name, ".6g") for name in ("demanded", "reached", "margin")),
-        *([Column("margin of the other", ".6g"), Column("change", ".6g")] if against else []),
+        *([Column("margin of the other"), Column("change")] if against else []),
         Column("worst at x, y", ".2f", "m"),
         Column("heading", ".0f", "°"),
         Column("from body", ".2f", "m"),
