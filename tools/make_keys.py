@@ -1,49 +1,77 @@
 #!/usr/bin/env python3
-"""Write the tables of keys in docs/requirements.md from the kinds of requirements and what their keys say.
+"""Write the tables of keys in docs/ from the kinds of requirements, the solvers, and what their keys say.
 
 .venv/bin/python tools/make_keys.py          # writes them
 .venv/bin/python tools/make_keys.py --check  # exits with 1 if they are out of date
 """
 
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from lidarcfg.config.models import Model
+from lidarcfg.placement.solvers import SOLVERS, solver_of
+from lidarcfg.placement.solvers.solver import Solver
 from lidarcfg.requirements.kinds import KINDS
 
-PAGE = Path(__file__).parent.parent / "docs" / "requirements.md"
+DOCS = Path(__file__).parent.parent / "docs"
 BEGIN = "<!-- by tools/make_keys.py -->\n"
 END = "<!-- end -->\n"
 
 
-def tables() -> str:
-    """A row for each kind, then one for each key; of kinds whose key is the same, once."""
+def says(model: type[Model]) -> str:
+    """What a model is."""
+    return (model.__doc__ or "").partition("\n")[0].removesuffix(".")
+
+
+def key_rows(models: Mapping[str, type[Model]], common: set[str]) -> list[str]:
+    """A row for each key that is not common to all models; of those whose key is the same, once."""
+    keys: dict[tuple[str, str], list[str]] = {}  # the models that have a key, and what it says
+    for name, model in models.items():
+        for key, field in model.model_fields.items():
+            if key not in common:
+                keys.setdefault((key, field.description or ""), []).append(name)
+    rows = ["| key | of | what it says |", "|---|---|---|"]
+    return rows + [f"| `{key}` | {', '.join(f'`{one}`' for one in of)} | {said} |" for (key, said), of in keys.items()]
+
+
+def requirements() -> list[str]:
+    """A row for each kind, then one for each key."""
     rows = ["| kind | keys; those before a semicolon must be given | what must hold |", "|---|---|---|"]
-    keys: dict[tuple[str, str], list[str]] = {}  # the kinds that have a key, and what it says
     for key, kind in KINDS.items():
-        fields = {name: field for name, field in kind.model_fields.items() if name != "name"}
+        fields = {name: field for name, field in kind.model_fields.items() if name not in ("name", key)}
         groups = [
-            [f"`{name}`" for name, field in fields.items() if name != key and field.is_required() is required]
+            [f"`{name}`" for name, field in fields.items() if field.is_required() is required]
             for required in (True, False)
         ]
-        says = (kind.__doc__ or "").partition("\n")[0].removesuffix(".")
-        rows.append(f"| `{key}` | {'; '.join(', '.join(group) for group in groups if group)} | {says} |")
-        for name, field in fields.items():
-            keys.setdefault((name, field.description or ""), []).append(key)
-    rows += ["", "| key | of | what it says |", "|---|---|---|"]
-    for (name, says), kinds in keys.items():
-        rows.append(f"| `{name}` | {', '.join(f'`{key}`' for key in kinds)} | {says} |")
-    return "\n".join(rows) + "\n"
+        rows.append(f"| `{key}` | {'; '.join(', '.join(group) for group in groups if group)} | {says(kind)} |")
+    return [*rows, "", *key_rows(KINDS, {"name"})]
+
+
+def solvers() -> list[str]:
+    """A row for each solver, then one for each key that not all have."""
+    models = {method: solver_of(method) for method in SOLVERS}
+    rows = ["| `method` | what it is | without a budget |", "|---|---|---|"]
+    for method, model in models.items():
+        budget = ", ".join(f"{value:,} {key}" for key, value in model.default_budget.items())
+        rows.append(f"| `{method}` | {says(model)} | {budget} |")
+    return [*rows, "", *key_rows(models, {*Solver.model_fields})]
+
+
+PAGES: dict[str, Callable[[], list[str]]] = {"requirements.md": requirements, "optimise.md": solvers}
 
 
 def main(words: list[str]) -> int:
-    """Write the page, or compare it."""
-    text = PAGE.read_text()
-    before, _, rest = text.partition(BEGIN)
-    made = before + BEGIN + tables() + END + rest.partition(END)[2]
-    if words == ["--check"]:
-        return int(made != text)
-    PAGE.write_text(made)
-    return 0
+    """Write the pages, or compare them."""
+    outdated = False
+    for name, table in PAGES.items():
+        text = (DOCS / name).read_text()
+        before, _, rest = text.partition(BEGIN)
+        made = before + BEGIN + "\n".join(table()) + "\n" + END + rest.partition(END)[2]
+        outdated = outdated or made != text
+        if words != ["--check"]:
+            (DOCS / name).write_text(made)
+    return int(words == ["--check"] and outdated)
 
 
 if __name__ == "__main__":

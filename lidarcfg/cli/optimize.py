@@ -22,17 +22,28 @@ from lidarcfg.cli.options import (
 )
 from lidarcfg.cli.progress import Interrupts, duration, progress
 from lidarcfg.cli.verify import NOT_MET
+from lidarcfg.placement.solvers import GONE, SOLVERS
 
 if TYPE_CHECKING:
     from lidarcfg.placement.cheapest import CheapestRun
     from lidarcfg.placement.front import FrontRun, Point
     from lidarcfg.placement.report_inputs import ReportInputs
     from lidarcfg.placement.search_run import Cycle, Log, Placement
+    from lidarcfg.placement.solvers.solver import Solver
     from lidarcfg.placement.study import Study
-    from lidarcfg.placement.study_file import Solver
     from lidarcfg.sensors.rig import Rig
 
 QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
+
+
+class Method(click.Choice[str]):
+    """The method of a solver."""
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The method; of one that is gone, the error says what to use."""
+        if value in GONE:
+            self.fail(f"{value!r} {GONE[value]}.", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 @cloup.command(
@@ -48,7 +59,7 @@ QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on th
     "Search",
     cloup.option(
         "--solver",
-        type=click.Choice(["auto", "abc", "annealing", "cmaes"]),
+        type=Method(tuple(SOLVERS)),
         help="Search method.  [default: the study's]",
     ),
     cloup.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Random seed.  [default: the study's]"),
@@ -274,7 +285,7 @@ def _find_cheapest(
 
     from lidarcfg.placement.cheapest import cheapest
     from lidarcfg.placement.report_inputs import report_inputs
-    from lidarcfg.placement.sweep import Cluster
+    from lidarcfg.placement.workers import Cluster
     from lidarcfg.report.cheapest import (
         COMBINATIONS,
         choice_part,

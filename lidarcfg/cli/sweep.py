@@ -16,7 +16,8 @@ from lidarcfg.errors import ConfigError
 
 if TYPE_CHECKING:
     from lidarcfg.placement.plan import Plan, SweepCase
-    from lidarcfg.placement.sweep import RunResult, Workers
+    from lidarcfg.placement.sweep import RunResult
+    from lidarcfg.placement.workers import Workers
     from lidarcfg.report.sweep import SweepFolder
 
 
@@ -29,7 +30,7 @@ class WorkerOptions:
 
     def workers(self) -> "Workers":
         """Start local ones, or connect to a cluster's. Raises ConfigError."""
-        from lidarcfg.placement.sweep import Cluster, Processes
+        from lidarcfg.placement.workers import Cluster, Processes
 
         return Cluster(self.scheduler) if self.scheduler else Processes(self.processes)
 

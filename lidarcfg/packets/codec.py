@@ -1,7 +1,7 @@
 """The interface that each maker's packets implement: a `Codec` writes and identifies them, its `Decoder` reads them.
 
 A family of packets is a subclass of `Codec`, registered in `packets/families.py`. Its bytes are known inside `packets/`
-only: the simulator sees `Firings`, capture files see `Payloads`, readers see `DecodedReturns`. `tests/packets/toy.py`
+only: the simulator sees `Firings`, capture files see `Payloads`, readers see `DecodedReturns`. `docs/examples/toy/`
 is a small one.
 """
 

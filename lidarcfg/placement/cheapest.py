@@ -36,7 +36,7 @@ from lidarcfg.placement.screen import LEAST, Screen, Screened
 from lidarcfg.placement.search_run import INFEASIBLE, Budget, Log, Placement
 from lidarcfg.placement.starts import starting_options
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.sweep import Workers, check_versions, distribute
+from lidarcfg.placement.workers import Workers, check_versions, distribute
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig

@@ -26,7 +26,6 @@ from lidarcfg.placement.combinations import Combination, Example, combinations, 
 from lidarcfg.placement.plain_rigs import plain_points
 from lidarcfg.placement.points_first import PointsFirst
 from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator
-from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.cma_es import WarmStart
 from lidarcfg.placement.solvers.search import NO_COST, FixedPoint, Search
 from lidarcfg.placement.starts import starting_options
@@ -168,7 +167,7 @@ class CandidateSearch:
         if not study.free.any():
             search: Search = FixedPoint()
         elif points is None:
-            search = start_search(study.solver, study.coordinates)
+            search = study.solver.begin(study.coordinates)
         else:
             search = PointsFirst(study, points)
         self.runs = [self._run(search)]

@@ -12,7 +12,6 @@ from lidarcfg.placement.points_first import PointsFirst
 from lidarcfg.placement.requirements_search import RequirementsRun
 from lidarcfg.placement.screen import first_points
 from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun
-from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.starts import points_of
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.sensors.rig import Rig
@@ -77,7 +76,7 @@ def search_run(
     if study.objective.misses:
         _check_firing(study)
         return MissesRun(study, log)
-    first = start_search(study.solver, study.coordinates) if log.points is None else PointsFirst(study, log.points)
+    first = study.solver.begin(study.coordinates) if log.points is None else PointsFirst(study, log.points)
     return SearchRun(study, first, log)
 
 
@@ -91,7 +90,7 @@ def _check_firing(study: Study) -> None:
 
 def place(study: Study, threads: int | None = None) -> Rig:
     """The rig of a study that costs least: the one that `optimize` finds, which also logs, resumes and evaluates."""
-    solver = start_search(study.solver, study.coordinates)  # minimises over the unit cube, and knows no LiDARs
+    solver = study.solver.begin(study.coordinates)  # minimises over the unit cube, and knows no LiDARs
     search = SearchRun(study, solver)  # keeps the best trial
     budget = Budget.of(study.solver)
     with search.evaluator(threads) as evaluator:

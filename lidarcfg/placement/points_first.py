@@ -1,9 +1,10 @@
 """Given points first, such as plain rigs or rigs to start with, then the study's solver from the best of them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import NO_COST, Best, Search, Trials, mean, order, unbounded
 from lidarcfg.placement.study import Study
 
@@ -16,8 +17,7 @@ class PointsFirst(Best):
     """Given points first, then the study's solver, which starts from the best of them.
 
     The points come in batches. In all but the first a point counts only if it is better than STARTS of those before.
-    With requirements, or where misses are minimised, `auto` is annealing from the start: its trials move one sensor
-    each; the others need no casting.
+    With requirements, or where misses are minimised, trials that move one sensor are cheap: the others need no casting.
     """
 
     def __init__(self, study: Study, points: Array, restarts: int = 0) -> None:
@@ -79,9 +79,7 @@ class PointsFirst(Best):
         if len(self._known) < len(self.points):
             return
         study = self._study
-        method = study.solver.method
-        if method == "auto" and (study.requirements or study.objective.misses):
-            method = "annealing"
-        solver = study.solver.model_copy(update={"seed": self._seed, "method": method})
+        solver = study.solver.model_copy(update={"seed": self._seed})
+        casts = bool(study.requirements or study.objective.misses)
         starts = self.best_points if len(self.best_points) else self.best_x[None]
-        self._search = start_search(solver, study.coordinates, starts)
+        self._search = solver.begin(replace(study.coordinates, one_group_is_cheap=casts), starts)

@@ -23,9 +23,10 @@ from lidarcfg.placement.solvers.search import (
     least,
     of_objectives,
 )
+from lidarcfg.placement.solvers.solver import Solver
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
-from lidarcfg.placement.study_file import COORDINATES, Solver
+from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.returns.known import KnownReturns
 from lidarcfg.returns.misses import MissesFound

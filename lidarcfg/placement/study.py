@@ -41,7 +41,8 @@ from lidarcfg.placement.slots import (
     slots_of,
 )
 from lidarcfg.placement.solvers.search import Coordinates
-from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
+from lidarcfg.placement.solvers.solver import Solver
+from lidarcfg.placement.study_file import NONE, Constraints, StudyFile, VisibilityFile, changed
 from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
@@ -138,8 +139,8 @@ class Study:
 
     @cached_property
     def freely_tilted(self) -> NDArray[np.int64]:
-        """(n, 2) as `slots.freely_tilted`; none for the paper's solver, which uses the paper's coordinates."""
-        free = self.free & (self.solver.method != "abc")
+        """(n, 2) as `slots.freely_tilted`; none where the solver wants the paper's coordinates."""
+        free = self.free & self.solver.is_upright_central
         return freely_tilted([slot.lidar for slot in self.slots], self.lower, self.upper, free)
 
     def _coordinates(self, unit: Array) -> Array:
@@ -505,10 +506,10 @@ def _resolved(
 
 
 def with_solver(study: Study, **changes: Any) -> Study:
-    """The study with some of its solver's settings replaced; a budget given here replaces the file's."""
-    given = {key: value for key, value in changes.items() if value is not None}
-    if given.keys() & BUDGETS:
-        given = dict.fromkeys(BUDGETS) | given
-    solver = study.solver.model_copy(update=given)
+    """The study with some of its solver's values replaced; a budget given here replaces the file's.
+
+    Of another method, only the values that all solvers have are kept. Raises ConfigError.
+    """
+    solver = changed(study.solver, {key: value for key, value in changes.items() if value is not None})
     file = study.file | {"solver": solver.model_dump(mode="json", exclude_none=True)}
     return replace(study, solver=solver, file=file)

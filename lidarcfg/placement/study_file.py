@@ -1,11 +1,14 @@
 """A study file: its keys, what is allowed in each, and their defaults."""
 
 import math
+from collections.abc import Mapping
 from itertools import combinations, product
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 from lidarcfg import maths
 from lidarcfg.config.models import (
@@ -16,6 +19,8 @@ from lidarcfg.config.models import (
     Metres,
     Model,
     Position,
+    Section,
+    as_model,
     check_names,
     validation_error,
 )
@@ -23,6 +28,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.objective import SIGHT, Objective
 from lidarcfg.placement.region import RegionFile
+from lidarcfg.placement.solvers import DEFAULT, GONE, SOLVERS, solver_of
+from lidarcfg.placement.solvers.solver import BUDGETS, Solver
 from lidarcfg.placement.surfaces import SurfaceFile
 from lidarcfg.placement.zones import ELSEWHERE, ZoneFile
 from lidarcfg.requirements.file import RequirementOrFile
@@ -31,7 +38,6 @@ from lidarcfg.sensors.rig import SENSORS_MAX, MountName, Range, angles_rad, one_
 from lidarcfg.sensors.sensor import AzimuthFov, Elevations
 from lidarcfg.world.vehicle import VehicleFile
 
-BUDGETS = {"cycles", "evaluations", "seconds"}
 NONE = "none"  # a choice: no sensor
 PRICE_MAX = 1e12
 COMBINATIONS_MAX = 1000  # with a search of each
@@ -138,26 +144,61 @@ class Constraints(Model):
     min_distance_m: Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)] = 0.0  # between any two sensors' origins
 
 
-class Solver(Model):
-    """How to search. The first budget that is reached ends the run.
+def _solver(values: Any) -> Solver:
+    """A validator: the solver of the method that its values name."""
+    if not isinstance(values, Mapping):
+        raise PydanticKnownError("model_type", {"class_name": "solver"})
+    if not isinstance(values.get("method", DEFAULT), str):
+        raise validation_error(f"is not a text; allowed: {', '.join(SOLVERS)}", "method")
+    method = values.get("method", DEFAULT)
+    kinds = {name: solver_of(name) for name in SOLVERS}
+    owners = {key: [name for name, one in kinds.items() if key in one.model_fields] for key in values}
+    if method in SOLVERS:
+        kind = kinds[method]
+        own = {key: value for key, value in values.items() if key in kind.model_fields or not owners[key]}
+        faults = [
+            validation_error(f"does not go with {method}; it goes with {' or '.join(owners[key])}", key)
+            for key in values
+            if key not in own
+        ]
+    else:
+        kind = kinds[DEFAULT]  # for the keys that all solvers have
+        own = {key: value for key, value in values.items() if key != "method" and owners[key] in ([], [*SOLVERS])}
+        what = GONE.get(method, f"is not allowed; allowed: {', '.join(SOLVERS)}")
+        faults = [validation_error(f"{method!r} {what}", "method")]
+    return as_model(kind, {"method": DEFAULT} | own, faults)
 
-    Without a budget: 800 cycles of `abc`, as in the paper, or 100,000 evaluations of another method.
+
+class _FromTable:
+    """How pydantic reads a solver: as one of those that the table has then."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(_solver)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"anyOf": [handler(TypeAdapter(solver_of(name)).core_schema) for name in SOLVERS]}
+
+
+AnySolver = Annotated[Solver, _FromTable()]
+
+
+class _SolverFile(Model):
+    """The part of a study that says how to search."""
+
+    solver: AnySolver
+
+
+def changed(given: Solver, changes: Mapping[str, Any]) -> Solver:
+    """A solver with some values replaced. A budget replaces all; another method keeps the values that all solvers have.
+
+    Raises ConfigError.
     """
-
-    method: Literal["auto", "abc", "annealing", "cmaes"] = "auto"
-    bees: Annotated[int, Field(ge=2, le=1_000_000)] = 200  # abc: food sources
-    limit: Annotated[int, Field(ge=1)] | None = None  # abc: failures of a source; default: bees × free dimensions
-    cycles: Annotated[int, Field(ge=1)] | None = None
-    evaluations: Annotated[int, Field(ge=1)] | None = None
-    seconds: Annotated[float, Field(gt=0)] | None = None
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
-
-    @model_validator(mode="before")
-    @classmethod
-    def _default_budget(cls, values: Any) -> Any:
-        if isinstance(values, dict) and all(values.get(key) is None for key in BUDGETS):
-            return values | ({"cycles": 800} if values.get("method") == "abc" else {"evaluations": 100_000})
-        return values
+    kept = given.model_dump(exclude_none=True)
+    if changes.keys() & BUDGETS:
+        kept = {key: value for key, value in kept.items() if key not in BUDGETS}
+    if changes.get("method", given.method) != given.method:
+        kept = {key: value for key, value in kept.items() if key not in given.own_keys}
+    return Section({"solver": {**kept, **changes}}).checked(_SolverFile).solver
 
 
 class VisibilityFile(Model):
@@ -182,7 +223,7 @@ class StudyFile(Model):
     requirements: tuple[RequirementOrFile, ...] | None = None
     robust: Robust | None = None
     zones: tuple[ZoneFile, ...] = ()
-    solver: Solver = Solver()
+    solver: AnySolver = Field(default_factory=lambda: _solver({}))
     detection: tuple[DetectionObject, ...] = ()
     prices: dict[str, Annotated[float, Field(gt=0, le=PRICE_MAX)]] | None = None  # by model
 

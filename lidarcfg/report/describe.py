@@ -231,16 +231,13 @@ def describe_skips(study: Study) -> str:
         return "A trial ends as soon as the places counted so far show that its shortfall is no less than that to beat."
     if study.is_misses:
         return "A trial ends as soon as the places counted so far show that it misses no less than what it has to beat."
-    if study.solver.method == "cmaes":
-        return "This solver ranks its trials by their costs, so each is evaluated in full."
     if wanted.is_max_vsr:
         ends = "as soon as one of its subspaces is no better than the value it has to beat"
     else:
         ends = "as soon as the terms computed so far, with 0 for all others, reach the value it has to beat"
     if study.robust:
         ends += ", in as many of the rigs that it stands for as settle it"
-    some = " This solver begins with random trials and CMA-ES, which rank trials by cost: these are evaluated in full."
-    return f"A trial ends {ends}.{some if study.solver.method == 'auto' else ''}"
+    return f"A trial ends {ends}. {study.solver.in_full}".rstrip()
 
 
 def describe_limits(study: Study) -> str:
@@ -269,5 +266,5 @@ def describe_solver(study: Study) -> str:
     solver = study.solver
     budgets = [("cycles", solver.cycles), ("evaluations", solver.evaluations), ("seconds", solver.seconds)]
     budget = " or ".join(f"{value:,} {name}" for name, value in budgets if value is not None)
-    bees = f", {solver.bees} bees" if solver.method == "abc" else ""
-    return f"{solver.method}{bees}, seed {solver.seed}, for {budget}"
+    own = "".join(f", {key} {value:,}" for key, value in solver.own_keys.items())
+    return f"{solver.method}{own}, seed {solver.seed}, for {budget}"

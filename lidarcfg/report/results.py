@@ -23,8 +23,9 @@ from lidarcfg.placement.evaluation import OFFSETS, STEP_DEG, STEP_M, Evaluation,
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.return_counts import STEP_M as STEP_M_OF_RETURNS
 from lidarcfg.placement.search_run import Believed, Check, Log, Placement
+from lidarcfg.placement.solvers.solver import BUDGETS
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.study_file import BUDGETS, COORDINATES
+from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.document import Baseline, ChoicePart, Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.report.verification import verdict_page

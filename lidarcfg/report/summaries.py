@@ -14,8 +14,8 @@ from lidarcfg.packets.families import codec
 from lidarcfg.placement.checks import rig_warnings, study_warnings
 from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.plan import load_plan
+from lidarcfg.placement.solvers.solver import BUDGETS
 from lidarcfg.placement.study import load_study
-from lidarcfg.placement.study_file import BUDGETS
 from lidarcfg.report.describe import counted
 from lidarcfg.requirements.file import load_requirements
 from lidarcfg.requirements.scenario_file import scenario_in

@@ -87,7 +87,7 @@ def completed(*words):
 
 def test_what_completes():
     assert {"export", "evaluate"} <= completed("e") <= set(cli.commands)
-    assert completed("optimize", "--solver", "") == {"auto", "abc", "annealing", "cmaes"}
+    assert completed("optimize", "--solver", "") == {"auto", "abc", "annealing"}
     assert completed("sensors", "show", "") == set(catalogue())
     assert completed("sensors", "show", "hdl") == {name for name in catalogue() if name.startswith("hdl")}
     for command in ("decode", "view", "convert"):
@@ -128,7 +128,7 @@ printf '%s\\n' "${{COMPREPLY[@]}}"
 def test_a_real_bash(tmp_path):
     assert tab("lidarcfg opt", tmp_path) == ["optimize"]
     assert tab("lidarcfg sensors show puck", tmp_path) == ["puck-hi-res", "puck-lite"]
-    assert tab("lidarcfg optimize --solver cm", tmp_path) == ["cmaes"]
+    assert tab("lidarcfg optimize --solver an", tmp_path) == ["annealing"]
     assert tab("lidarcfg evaluate data/stu", tmp_path) == ["compopt default", ""]  # bash's own files
     assert tab("lidarcfg decode x.pcap --model ./my", tmp_path) == ["compopt default", ""]
 

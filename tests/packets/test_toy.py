@@ -1,6 +1,7 @@
-"""A family of packets that is registered and nothing more: exported, written, read and identified by the commands."""
+"""The maker of docs/codec.md as a user adds it, a folder and a line: exported, decoded and identified by the commands."""
 
 import re
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -18,18 +19,12 @@ from lidarcfg.sensors.rig import load_rig
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import no_warning, write_datagrams
 
-SENSOR = """
-name: toy-4
-beams: {{elevation_deg: [-20, -10, -5, 2]}}
-rotation: {{source: made up, rpm_min: 60, rpm_max: 1200, rpm_step: 60}}
-range: {{source: made up, min_m: 0.1, max_m: 200, resolution_m: 0.005, accuracy_m: 0.01}}
-codec: toy
-toy: {{columns: {columns}}}
-"""
+EXAMPLES = Path(__file__).parents[2] / "docs/examples"
+SENSOR = (EXAMPLES / "toy/toy-4.yaml").read_text()
 RIG = """
 name: two
 sensors:
-  - {name: left, model: toy.yaml, position_m: [0, 1, 2], rpy_deg: [2, 3, 20], data_port: 4000}
+  - {name: left, model: toy.yaml, position_m: [0, 1, 2], rpy_deg: [2, 3, 20], data_port: 4000, telemetry_port: 4001}
   - {name: right, model: vlp-16, position_m: [0, -1, 2]}
 """
 SCENE = """
@@ -46,8 +41,9 @@ def run(*words):
 @pytest.fixture(params=[10, 30])
 def columns(request, tmp_path, monkeypatch):
     """Packets of 888 bytes, and of 2648, which leave as fragments."""
-    monkeypatch.setitem(FAMILIES, "toy", "tests.packets.toy:Toy")
-    (tmp_path / "toy.yaml").write_text(SENSOR.format(columns=request.param))
+    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.setitem(FAMILIES, "toy", "toy:Toy")
+    (tmp_path / "toy.yaml").write_text(SENSOR.replace("columns: 10", f"columns: {request.param}"))
     (tmp_path / "rig.yaml").write_text(RIG)
     (tmp_path / "scene.yaml").write_text(SCENE)
     return request.param
@@ -75,13 +71,26 @@ def test_there_and_back(tmp_path, columns):
         assert (mount.sensor.ring[truth["laser"][here]] == cloud.ring[mine]).all()
         assert abs(np.linalg.norm(xyz, axis=1) - truth["range_m"][here]).max() <= 0.0005 + 1e-9
     sizes = {datagram.port: len(datagram.payload) for datagram in read_datagrams(out, no_warning)}
-    assert sizes == {4000: 8 + 88 * columns, 2368: 1206, 8308: 512}
+    assert sizes == {4000: 8 + 88 * columns, 4001: 36, 2368: 1206, 8308: 512}
+
+
+def test_it_says_where_it_is(tmp_path, columns):
+    """Once a second, after a quarter of a turn to the left: what is 1 m to the left is 1 m behind in the world."""
+    run(
+        *("export", tmp_path / "rig.yaml", "--scene", tmp_path / "scene.yaml", "--duration", 1.5),
+        *("--at", "3,4,90", "-o", tmp_path / "a.pcap"),
+    )
+    told = [one.payload for one in read_datagrams(tmp_path / "a.pcap", no_warning) if one.port == 4001]
+    magic, times_ns, *xyz_m = zip(*(struct.unpack("<4sq3d", payload) for payload in told), strict=True)
+    assert magic == (b"TOYP", b"TOYP")
+    assert times_ns[1] - times_ns[0] == 10**9
+    assert np.transpose(xyz_m) == pytest.approx(np.array([[2, 4, 2]] * 2))
 
 
 def test_lost_duplicate_and_overtaking_packets(tmp_path, columns):
     (tmp_path / "rig.yaml").write_text(RIG.rsplit("\n  -", 1)[0])
     run("export", tmp_path / "rig.yaml", "--scene", tmp_path / "scene.yaml", "--duration", 1, "-o", tmp_path / "a.pcap")
-    sent = list(read_datagrams(tmp_path / "a.pcap", no_warning))
+    sent = [one for one in read_datagrams(tmp_path / "a.pcap", no_warning) if one.port == 4000]
     kept = [one for i, one in enumerate(sent) if i not in (20, 30, 31)]
     kept[10], kept[11] = kept[11], kept[10]
     kept.insert(40, kept[39])
@@ -100,19 +109,17 @@ def test_what_the_family_refuses(tmp_path, columns):
     (tmp_path / "rig.yaml").write_text(text)
     with pytest.raises(ConfigError, match="left: sensor 'toy-4' has no dual returns"):
         simulated_frames(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
-    (tmp_path / "toy.yaml").write_text(SENSOR.format(columns="many"))
-    with pytest.raises(ConfigError, match=r"toy\.yaml:7:7: toy\.columns: 'many'"):
+    (tmp_path / "toy.yaml").write_text(SENSOR.replace("columns: 10", "columns: many"))
+    with pytest.raises(ConfigError, match=r"toy\.yaml:6:7: toy\.columns: 'many'"):
         simulated_frames(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
-    (tmp_path / "toy.yaml").write_text(
-        SENSOR.format(columns=10).replace("toy:", "tyo:").replace("codec: toy", "codec: tyo")
-    )
+    (tmp_path / "toy.yaml").write_text(SENSOR.replace("toy:", "tyo:").replace("codec: toy", "codec: tyo"))
     with pytest.raises(ConfigError, match=r"no codec is called 'tyo'; allowed: .*toy, velodyne"):
         simulated_frames(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
 
 
 def test_the_page_shows_its_lines():
-    root = Path(__file__).parents[2]
-    code = (root / "tests" / "packets" / "toy.py").read_text()
-    shown = re.findall(r"^```py\n(.*?)^```$", (root / "docs" / "codec.md").read_text(), re.DOTALL | re.MULTILINE)
+    code = [path.read_text() for path in EXAMPLES.glob("toy/*")]
+    page = (EXAMPLES.parent / "codec.md").read_text()
+    shown = re.findall(r"^```(?:py|yaml)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
     assert len(shown) > 5
-    assert [text for text in shown if text not in code] == []
+    assert [text for text in shown if not any(text in one for one in code)] == []

@@ -18,7 +18,7 @@ sensors:
     min: {position_m: [-1, -1, 1.2], rpy_deg: [-20, -20, 0]}
     max: {position_m: [1, 1, 1.5], rpy_deg: [20, 20, 0]}
   - {name: b, elevation_deg: [-9, 0, 9], min: {position_m: [-1, 0, 1.2], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 0, 1.2], rpy_deg: [0, 0, 0]}}
-solver: {method: cmaes, evaluations: 30, limit: 7}
+solver: {method: abc, evaluations: 30, limit: 7}
 detection: [{name: box, size_m: [1, 1, 1]}]
 """
 

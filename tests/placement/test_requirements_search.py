@@ -22,7 +22,7 @@ from lidarcfg.placement.requirements_search import (
 from lidarcfg.placement.search_run import INFEASIBLE
 from lidarcfg.placement.solvers.search import unbounded
 from lidarcfg.placement.study import load_study, with_solver
-from lidarcfg.placement.sweep import Processes
+from lidarcfg.placement.workers import Processes
 from lidarcfg.requirements.allowed_rigs import most_returns
 from lidarcfg.requirements.resolved import Requirements
 from lidarcfg.requirements.scenario import ScenarioRequirement

@@ -13,7 +13,7 @@ RETURNS = """region: {min_m: [-9, -6, 0], max_m: [9, 6, 2], cuboid_m: [1, 1, 0.5
 sensors:
   - {model: vlp-16, min: {position_m: [-1, 0, 1.5], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 0, 1.5], rpy_deg: [0, 0, 0]}}
 detection: [{name: child, size_m: [0.4, 0.4, 1.0], returns: 5, on_ground: true}]
-solver: {method: cmaes, evaluations: 20}
+solver: {method: annealing, evaluations: 20}
 """
 RIG = """name: one
 sensors:

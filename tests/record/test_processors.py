@@ -15,7 +15,7 @@ LESSER = {
     "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL",
     "OPENBLAS_CORETYPE": "Nehalem",
 }
-OWN_EXP = "not cmaes and not auto"  # cma takes numpy's exp and BLAS, whose last bits are the processor's
+OWN_EXP = "not auto"  # cma takes numpy's exp and BLAS, whose last bits are the processor's
 BRIEF = f"{OWN_EXP} and not search and not car"  # every kernel; searches around a car by night
 
 

@@ -1,56 +1,29 @@
-"""The solvers, by the name that a study gives them. Each is imported when it is used.
+"""The solvers: they minimise over the unit cube, and know nothing about LiDARs.
 
-To read in this order: `search` is the protocol; `bee_colony`, `cma_es` and `annealing` are an algorithm each; `auto`,
-the default, combines two of them.
-
-A new solver is a module here with a class that implements `search.Search`: `ask` gives trials in the unit cube, `tell`
-gets their costs, and `sources`, `mean_cost`, `cycles`, `best_x` and `best_cost` say how far it is. `search.Best` and
-`search.Runs` are bases for it. Its name goes into `SOLVERS` below, `Solver.method` in `placement/study_file.py`,
-`--solver` in `cli/optimize.py`, `describe_solver` in `report/describe.py`, and the methods in docs/optimise.md.
+To read in this order: `search` is the protocol of a search in progress, `solver` that of what begins one; `bee_colony`
+and `annealing` are an algorithm each; `auto`, the default, combines annealing with a run of `cma_es`.
 """
 
-from collections.abc import Callable
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.search import Coordinates, Search
-from lidarcfg.placement.study_file import Solver
+if TYPE_CHECKING:
+    from lidarcfg.placement.solvers.solver import Solver
 
-
-def _auto(coordinates: Coordinates, solver: Solver, starts: Array | None) -> Search:
-    from lidarcfg.placement.solvers.auto import Auto
-
-    return Auto(coordinates, solver.seed, starts)
-
-
-def _abc(coordinates: Coordinates, solver: Solver, starts: Array | None) -> Search:
-    from lidarcfg.placement.solvers.bee_colony import BeeColony
-
-    return BeeColony(len(coordinates), solver.bees, solver.limit or solver.bees * len(coordinates), solver.seed)
-
-
-def _cmaes(coordinates: Coordinates, solver: Solver, starts: Array | None) -> Search:
-    from lidarcfg.placement.solvers.cma_es import CmaEs
-
-    return CmaEs(len(coordinates), solver.seed, None if starts is None else starts[0])
-
-
-def _annealing(coordinates: Coordinates, solver: Solver, starts: Array | None) -> Search:
-    from lidarcfg.placement.solvers.annealing import AnnealingRounds
-
-    return AnnealingRounds(coordinates, solver.seed, starts)
-
-
-SOLVERS: dict[str, Callable[[Coordinates, Solver, Array | None], Search]] = {
-    "auto": _auto,
-    "abc": _abc,
-    "annealing": _annealing,
-    "cmaes": _cmaes,
+SOLVERS = {  # module and class by the method that a study names, loaded when they are needed
+    "auto": "lidarcfg.placement.solvers.auto:AutoSolver",
+    "annealing": "lidarcfg.placement.solvers.annealing:AnnealingSolver",
+    "abc": "lidarcfg.placement.solvers.bee_colony:BeeColonySolver",
+}
+DEFAULT = "auto"
+GONE = {  # what to use instead of methods of earlier versions
+    "cmaes": "is gone; use auto, which begins with CMA-ES and goes on from there",
+    "de": "is gone; use auto",
 }
 
 
-def start_search(solver: Solver, coordinates: Coordinates, starts: Array | None = None) -> Search:
-    """The search that a study's solver settings describe, over some coordinates.
-
-    `starts` (s, dimensions): good points, the best first, near which all but `abc` begin.
-    """
-    return SOLVERS[solver.method](coordinates, solver, starts)
+def solver_of(method: str) -> "type[Solver]":
+    """The solver of a method in the table."""
+    module, _, name = SOLVERS[method].partition(":")
+    found: type[Solver] = getattr(import_module(module), name)
+    return found

@@ -21,6 +21,8 @@ Chains that learn from each other all end in one basin. So there are several pop
 round. Long before its end it shows which population is in the best basin: only that one goes on.
 """
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +32,7 @@ from lidarcfg.placement.solvers.search import (
     NO_COST,
     Coordinates,
     Runs,
+    Search,
     Trials,
     checked,
     cost_of,
@@ -39,6 +42,7 @@ from lidarcfg.placement.solvers.search import (
     order,
     unbounded,
 )
+from lidarcfg.placement.solvers.solver import Solver
 
 CHAINS = 16  # of a population
 POPULATIONS = 3  # of a round
@@ -62,6 +66,16 @@ SECOND_WORK = 21_000  # of the second
 LONGER = 1.5  # the work of every further round, by that of the one before
 SMOOTHING = 1 / 32  # of the costs in all rounds but the first; refining is without
 REFINING = 0.25  # the work of refining what a round found, by the round's
+
+
+class AnnealingSolver(Solver):
+    """Simulated annealing of many chains, whose trials are the cheapest; for LiDARs with much room."""
+
+    method: Literal["annealing"]
+
+    def begin(self, coordinates: Coordinates, starts: Array | None = None) -> Search:
+        """Rounds of annealing."""
+        return AnnealingRounds(coordinates, self.seed, starts)
 
 
 class Annealing:

@@ -5,17 +5,35 @@ local search that moves all coordinates at the same time. So annealing follows, 
 coordinates at a time: it refines that rig, then begins anew, for longer and longer.
 """
 
+from typing import ClassVar, Literal
+
 import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.annealing import AnnealingRounds
 from lidarcfg.placement.solvers.cma_es import CmaEs
-from lidarcfg.placement.solvers.search import Best, Coordinates, Trials, mean, unbounded
+from lidarcfg.placement.solvers.search import Best, Coordinates, Search, Trials, mean, unbounded
+from lidarcfg.placement.solvers.solver import Solver
 
 POINTS = 200  # at random, then CMA-ES from the best of them
 POPULATION = 30  # of CMA-ES
 STEP = 0.15  # of CMA-ES at the beginning
 EVALUATIONS = 200  # of CMA-ES at most, per dimension
+
+
+class AutoSolver(Solver):
+    """A little CMA-ES, then annealing; the default, for all studies."""
+
+    in_full: ClassVar[str] = (
+        "This solver begins with random trials and CMA-ES, which rank trials by cost: these are evaluated in full."
+    )
+    method: Literal["auto"] = "auto"
+
+    def begin(self, coordinates: Coordinates, starts: Array | None = None) -> Search:
+        """From `starts`, where trials that move one group are cheap, annealing alone, as its trials do."""
+        if starts is not None and coordinates.one_group_is_cheap:
+            return AnnealingRounds(coordinates, self.seed, starts)
+        return Auto(coordinates, self.seed, starts)
 
 
 class Auto(Best):
@@ -50,7 +68,7 @@ class Auto(Best):
         self.cycles += 1
         if self._run is None:
             self.mean_cost = mean(cost)
-            self._run = CmaEs(len(self._coordinates), self._seed(), best, STEP, POPULATION)
+            self._run = CmaEs(best, self._seed(), STEP, POPULATION)
             return
         self._run.tell(cost)
         self.mean_cost = self._run.mean_cost

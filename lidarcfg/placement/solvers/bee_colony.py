@@ -4,11 +4,46 @@ It minimises over the unit cube. Each ask is one phase: employed bees, onlookers
 drawn from the sources as they were at its start; their costs are applied in order.
 """
 
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
+
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.search import NO_COST, Trials, checked, cost_of, mean, numbers, unbounded
+from lidarcfg.placement.solvers.search import (
+    NO_COST,
+    Coordinates,
+    Search,
+    Trials,
+    checked,
+    cost_of,
+    mean,
+    numbers,
+    unbounded,
+)
+from lidarcfg.placement.solvers.solver import Solver
+
+
+class BeeColonySolver(Solver):
+    """The paper's Artificial Bee Colony; to compare with the paper."""
+
+    default_budget: ClassVar[Mapping[str, int]] = {"cycles": 800}  # the paper's
+    is_upright_central: ClassVar[bool] = False  # the coordinates are the paper's
+    method: Literal["abc"]
+    bees: Annotated[
+        int, Field(ge=2, le=1_000_000, description="food sources, with as many onlookers in each cycle")
+    ] = 200
+    limit: Annotated[
+        Annotated[int, Field(ge=1)] | None,
+        Field(description="failures after which a scout replaces a source; by default `bees` × free coordinates"),
+    ] = None
+
+    def begin(self, coordinates: Coordinates, starts: Array | None = None) -> Search:
+        """A swarm at random sources, whatever the `starts`."""
+        dimensions = len(coordinates)
+        return BeeColony(dimensions, self.bees, self.limit or self.bees * dimensions, self.seed)
 
 
 class BeeColony:

@@ -1,13 +1,10 @@
-"""CMA-ES by the `cma` package, as ask and tell, with restarts that double the population."""
+"""A run of CMA-ES by the `cma` package, as ask and tell."""
 
-import cma
 import numpy as np
 
-from lidarcfg import maths
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Best, Trials, mean, unbounded
 
-STEP = 0.25  # the initial standard deviation, in the unit cube
 HUGE = 1e300  # stands for inf, as cma subtracts costs
 UNMET = 2.0**20  # is added to shortfalls; no objective exceeds it
 NEAR_STEP = 0.08  # around a good point
@@ -16,41 +13,34 @@ FEWEST = 2  # dimensions that cma needs; a single one gets a dummy dimension bes
 
 
 class CmaEs(Best):
-    """A search by covariance matrix adaptation (Hansen; IPOP restarts, Auger and Hansen 2005).
+    """Covariance matrix adaptation (Hansen) from `start` (dimensions,); `over` once it has converged.
 
-    It starts at `start` (dimensions,), by default at a random point, with cma's default population unless given.
-    `over` right after a run has ended and the next one has begun.
+    `step` is the standard deviation at the beginning, in the unit cube.
     """
 
-    def __init__(
-        self, dimensions: int, seed: int, start: Array | None = None, step: float = STEP, population: int = 0
-    ) -> None:
+    def __init__(self, start: Array, seed: int, step: float, population: int) -> None:
+        import cma  # takes seconds to load
+
         self._rng = np.random.default_rng(seed)
-        self._dimensions = dimensions
-        self._step = step
-        self._population = population or 4 + int(3 * maths.log(dimensions))
-        self.cycles = 0
-        self.best_x = self._rng.random(dimensions)
+        self._dimensions = len(start)
+        self.best_x = self._rng.random(len(start))  # anywhere, until costs are told
         self.mean_cost = np.inf
         self.over = False
-        self._begin(start if start is not None else self.best_x)
-
-    @property
-    def sources(self) -> Array:
-        """The best so far; no trial is drawn around a source."""
-        return self.best_x[None]
-
-    def _begin(self, start: Array) -> None:
         options = {
             "bounds": [0, 1],
-            "popsize": self._population,
+            "popsize": population,
             "randn": lambda *shape: self._rng.standard_normal(shape),
             "seed": np.nan,  # leave NumPy's global generator alone: `randn` is ours
             "verbose": -9,
         }
         start = np.concatenate([start, np.full(max(FEWEST - len(start), 0), 0.5)])
-        self._es = cma.CMAEvolutionStrategy(start, self._step, options)
+        self._es = cma.CMAEvolutionStrategy(start, step, options)
         self._asked = self._es.ask()
+
+    @property
+    def sources(self) -> Array:
+        """The best so far; no trial is drawn around a source."""
+        return self.best_x[None]
 
     def ask(self) -> Trials:
         """The next generation."""
@@ -62,12 +52,8 @@ class CmaEs(Best):
         self.keep_best(self.ask().x, cost)
         self._es.tell(self._asked, ranked(cost))
         self.mean_cost = mean(cost)
-        self.cycles += 1
         self.over = bool(self._es.stop())
-        if self.over:
-            self._population *= 2
-            self._begin(self._rng.random(self._dimensions))
-        else:
+        if not self.over:
             self._asked = self._es.ask()
 
 
@@ -111,4 +97,4 @@ class WarmStart(Best):
             self._run.tell(cost)
             self.over = self._run.over
         else:
-            self._run = CmaEs(len(best), self._seed, best, NEAR_STEP, NEAR_POPULATION)
+            self._run = CmaEs(best, self._seed, NEAR_STEP, NEAR_POPULATION)

@@ -1,4 +1,4 @@
-"""The protocol of every solver: it asks for trials and is told their costs. None of them knows about LiDARs.
+"""The protocol of a search in progress: it asks for trials and is told their costs, and knows nothing about LiDARs.
 
 A cost is a pair, a shortfall and an objective, and is compared as a pair: whatever falls short of what is demanded
 costs more than all that does not. Its objective does not count, and is inf.
@@ -72,6 +72,7 @@ class Coordinates:
 
     group: NDArray[np.int64]  # (dimensions,) those of equal numbers belong together
     kind: NDArray[np.int64]  # (dimensions,) those of equal numbers mean the same, each in its group
+    one_group_is_cheap: bool = False  # whether a trial that moves only one group costs far less work than others
 
     def __len__(self) -> int:
         return len(self.group)
