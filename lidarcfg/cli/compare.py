@@ -37,10 +37,16 @@ def compare(
     from lidarcfg.placement.evaluation import evaluate as evaluation
     from lidarcfg.placement.report_inputs import report_inputs
     from lidarcfg.placement.study import load_study
-    from lidarcfg.report.comparison import COMPARED, check_count, comparison_dict, contenders, save_comparison
+    from lidarcfg.report.comparison import (
+        COMPARED,
+        check_count,
+        comparison_dict,
+        contenders,
+        print_comparison,
+        save_comparison,
+    )
     from lidarcfg.report.document import Commands
     from lidarcfg.report.results import check_writable, to_json
-    from lidarcfg.report.tables import print_comparison
     from lidarcfg.sensors.rig import load_rig
 
     check_count(len(rigs))

@@ -54,7 +54,7 @@ def evaluate(
         from lidarcfg.placement.evaluation import robustness
         from lidarcfg.placement.report_inputs import report_inputs
         from lidarcfg.placement.study import load_study
-        from lidarcfg.report.comparison import with_baseline
+        from lidarcfg.report.comparison import print_comparison, with_baseline
         from lidarcfg.report.document import Commands
         from lidarcfg.report.results import (
             EVALUATED,
@@ -64,7 +64,7 @@ def evaluate(
             save_evaluation,
             to_json,
         )
-        from lidarcfg.report.tables import print_comparison, print_evaluation
+        from lidarcfg.report.tables import print_evaluation
         from lidarcfg.sensors.rig import load_rig
 
         loaded = load_study(study)

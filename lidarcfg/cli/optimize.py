@@ -131,10 +131,10 @@ def optimize(
         from lidarcfg.placement.achievable import unachievable
         from lidarcfg.placement.checks import study_warnings
         from lidarcfg.placement.study import load_study, with_solver
-        from lidarcfg.report.comparison import with_baseline
+        from lidarcfg.report.comparison import print_comparison, with_baseline
         from lidarcfg.report.document import Commands
         from lidarcfg.report.results import RESULTS, check_writable, load_log, save_placement
-        from lidarcfg.report.tables import print_comparison, print_placement
+        from lidarcfg.report.tables import print_placement
 
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
@@ -260,7 +260,7 @@ def _plan(run: "CheapestRun", solver: "Solver") -> str:
     """What the search for the cheapest rig will do, and how long it may take."""
     screening = "the plain rigs of each first"
     if run.sweep_s is not None:
-        screening += f", about {duration(run.sweep_s)} if none passes before"
+        screening += f", about {duration(run.sweep_s)}, and longer where one seems to pass and is verified"
     budget = f"{solver.evaluations:,} evaluations" if solver.evaluations is not None else "its budget"
     if solver.seconds is not None:
         budget = f"{solver.seconds:g} s"
@@ -363,9 +363,8 @@ def _find_front(
     from lidarcfg.placement.combinations import combinations
     from lidarcfg.placement.front import front
     from lidarcfg.report.document import Commands
-    from lidarcfg.report.front import load_front_logs, save_front, save_front_log
+    from lidarcfg.report.front import load_front_logs, print_front, save_front, save_front_log
     from lidarcfg.report.results import FRONT, check_writable
-    from lidarcfg.report.tables import print_front
 
     logs = load_front_logs(study, resume, len(combinations(study))) if resume else []
     check_writable(folder, FRONT)

@@ -7,9 +7,10 @@ costs more, and needs no look.
 
 Then the cheaper combinations are searched, those that come closest first, each from its plain rigs and from rigs of
 others that fit: of the verified one without some of its sensors, and of the closest. What is closest is told by the
-worst place of a combination's best rig; each search in vain counts as if it were twice as bad. A turn has FIRST
-evaluations, the next one of the same combination GROWTH times as many. After each find the cheaper ones have one more
-turn each. So a search that its budget does not end finds the same with any number of workers.
+worst place of a combination's best rig, of some that were judged at all places of trials; each search in vain counts as
+if it were twice as bad. A turn has FIRST evaluations, the next one of the same combination GROWTH times as many. After
+each find there are as many turns as cheaper combinations, NEAREST at a time. So a search that its budget does not end
+finds the same with any number of workers.
 
 Combinations that cost too much, or have too many sensors, are not looked at, nor are those searched of which it is
 known beforehand that they miss a requirement.
@@ -46,7 +47,8 @@ TRIES = 3
 FIRST = 120  # evaluations of a combination's first turn
 GROWTH = 3
 ESTIMATED = 1000  # combinations at most, of which it is estimated how long screening them takes
-NEAREST = 16  # combinations that have a turn at a time
+NEAREST = 8  # combinations that have a turn at a time
+JUDGED = 4  # rigs of each of these that are judged at all places of trials before
 POINTS = 12  # plain rigs at which a combination's search begins
 EXAMPLES = 4  # combinations whose best rigs others begin with
 
@@ -167,6 +169,7 @@ class Rigs:
 
     points: Array  # (n, free coordinates)
     found: Screened
+    judged: bool  # whether some were judged at all places of trials
 
     @property
     def worst(self) -> float:
@@ -245,21 +248,28 @@ class CheapestRun:
         if on_effort:
             self._say = partial(on_effort, self)
         self._sweep()
-        due: set[int] = set()
         carried = None
+        turns = 0
         while not self._is_spent():
             if self.found != carried:
                 carried = self.found
                 self._carry()
-                due = set(range(self.cheaper))
-            elif self.found is None and not due:
-                due = set(range(len(self.options)))
-            numbers = [n for n in due if n < self.cheaper and n not in self.excluded]
-            numbers = sorted(numbers, key=lambda n: (self._badness(n), n))[:NEAREST]
-            if not numbers:
+                turns = 0
+            numbers = self._nearest([n for n in range(self.cheaper) if n not in self.excluded])
+            if not numbers or (self.found is not None and turns >= self.cheaper):
                 break
-            due -= set(numbers)
+            turns += len(numbers)
             self._do_round(numbers)
+
+    def _nearest(self, numbers: Sequence[int]) -> list[int]:
+        """The combinations that come closest, by rigs that were judged at all places of trials."""
+        while True:
+            nearest = sorted(numbers, key=lambda n: (self._badness(n), n))[:NEAREST]
+            known = (n for n in nearest if n in self._rigs and n not in self.efforts and not self._rigs[n].judged)
+            rough = next(known, None)
+            if rough is None or self._is_spent():
+                return nearest
+            self._screened(rough, self._rigs[rough].points, JUDGED)
 
     def _is_spent(self) -> bool:
         """Whether the budget is spent, but for what it takes to verify the rig that comes closest."""
@@ -307,9 +317,9 @@ class CheapestRun:
             found.append(len(fresh))
         return found
 
-    def _screened(self, number: int, points: Array) -> None:
-        """Rank the rigs of a combination at some points."""
-        self._rigs[number] = Rigs(*self._screen.ranked(self._study_of(number), points))
+    def _screened(self, number: int, points: Array, least: int = 0) -> None:
+        """Rank the rigs of a combination at some points; see Screen.ranked."""
+        self._rigs[number] = Rigs(*self._screen.ranked(self._study_of(number), points, least), judged=least > 0)
 
     def _try(self, number: int) -> None:
         """Verify some rigs of a combination that meet all at the places of trials, until one passes.

@@ -354,9 +354,14 @@ class RequirementsRun(MissesRun):
         return found
 
     def _checked(self) -> Check:
-        """What verifying the best rig finds; at refined places only if it passes at all of the base grid."""
+        """What verifying the best rig finds: no more than the first places at which it fails, the soonest found."""
         mounts = self._mounts(self.best_x)
-        if missed := self._first(lambda one: one.missed(mounts)) or self._first(lambda one: one.missed_between(mounts)):
+        looks: tuple[Callable[[Judge], Array], ...] = (
+            lambda one: one.missed_nearby(mounts),
+            lambda one: one.missed(mounts),
+            lambda one: one.missed_between(mounts),
+        )
+        if missed := next(filter(None, map(self._first, looks)), None):
             return Check(self._count, False, missed)
         found = self.verdict_on(self.best_x)
         return Check(self._count, found.passed, {} if found.passed else self._failing(found))

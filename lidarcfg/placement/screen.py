@@ -81,19 +81,25 @@ class Screen:
             self._known
         )
 
-    def ranked(self, study: Study, points: Array) -> tuple[Array, Screened]:
-        """The points, the closest first, and what their rigs reach; all but the best are judged at a few places."""
+    def ranked(self, study: Study, points: Array, least: int = 0) -> tuple[Array, Screened]:
+        """The points, the closest first, and what their rigs reach.
+
+        Those that meet all at a few places are judged at all, up to BEST of them; and the closest, `least` at least.
+        The others come behind these, and are known at the few places alone.
+        """
         quick = self.judge(study, points, quick=True)
         points = points[quick.order]
         worst = quick.worst[quick.order]
         shortfalls = quick.shortfalls[quick.order]
-        count = min(int((worst <= 0).sum()), BEST)
+        count = max(min(int((worst <= 0).sum()), BEST), least)
         if count:
             best = self.judge(study, points[:count])
-            worst[:count], shortfalls[:count] = best.worst, best.shortfalls
+            order = best.order
+            points[:count], worst[:count], shortfalls[:count] = (
+                some[order] for some in (points[:count], best.worst, best.shortfalls)
+            )
             worst[count:] = np.maximum(worst[count:], LEAST)
-        order = Screened(worst, shortfalls).order
-        return points[order], Screened(worst[order], shortfalls[order])
+        return points, Screened(worst, shortfalls)
 
     def _cast(self, study: Study, poses: Array, wanted: Mapping[int, Array]) -> None:
         """Find out what is not known of the sensors of rigs at poses (n, slots, 6), at the first of the places."""

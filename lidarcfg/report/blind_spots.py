@@ -26,7 +26,8 @@ from lidarcfg.report.canvas import (
     thinned,
 )
 from lidarcfg.report.evidence import draw_body, draw_posts, finish_map
-from lidarcfg.report.html import KeyFigure, Table
+from lidarcfg.report.html import KeyFigure
+from lidarcfg.report.table import Cell, Column, Table
 from lidarcfg.requirements.post_visibility import STEP_M as POST_STEP_M
 from lidarcfg.requirements.post_visibility import WIDTH_M, PostVisibility
 from lidarcfg.sensors.rig import Rig
@@ -66,29 +67,30 @@ def posts_table(found: Sequence[PostVisibility]) -> Table:
         azimuth = posts.azimuth_deg
         rows.append(
             [
-                f"{posts.height_m:g} m",
+                Cell(posts.height_m, f"{posts.height_m:g} m"),
                 _at(first[worst], azimuth[worst]),
                 _at(gap[widest], azimuth[widest]) if gap[widest] else "none",
-                f"{posts.gap_share:.2%}",
+                posts.gap_share,
                 _at(to[least], azimuth[least]),
             ]
         )
-    head = (
-        "post",
-        "first seen (m)",
-        "longest gap (m)",
-        "gaps' share",
-        "seen without gaps to (m)",
-    )
+    columns = [
+        Column("post"),
+        Column("first seen", ".2f", "m"),
+        Column("longest gap", ".2f", "m"),
+        Column("gaps' share", ".2%"),
+        Column("seen without gaps to", ".2f", "m"),
+    ]
     count = int(found[0].places.counts.sum())
     where = (
         f"within {found[0].limit_m:g} m of the body: {count:,} places, {POST_STEP_M:g} m apart on {AZIMUTHS} azimuths"
     )
-    return Table(f"Blind spots: where a post {WIDTH_M:g} m wide is seen in the worst phase, {where}", head, rows)
+    return Table(f"Blind spots: where a post {WIDTH_M:g} m wide is seen in the worst phase, {where}", columns, rows)
 
 
-def _at(value: float, azimuth_deg: float) -> str:
-    return f"never at {azimuth_deg:.0f}°" if np.isinf(value) else f"{value:.2f} at {azimuth_deg:.0f}°"
+def _at(value: float, azimuth_deg: float) -> Cell:
+    text = f"never at {azimuth_deg:.0f}°" if np.isinf(value) else f"{value:.2f} at {azimuth_deg:.0f}°"
+    return Cell(float(value), text)
 
 
 def draw_posts_by_height(body: Footprint, rig: Rig, found: Sequence[PostVisibility]) -> Markup:
@@ -116,31 +118,36 @@ def draw_posts_by_height(body: Footprint, rig: Rig, found: Sequence[PostVisibili
 def volumes_table(blind: BlindSpots) -> Table:
     """The volume by the number of LiDARs that see it."""
     total = float(blind.seen_by_m3.sum())
-    rows = [[f"{n}", f"{volume:,.2f}", f"{volume / total:.2%}"] for n, volume in enumerate(blind.seen_by_m3.tolist())]
-    return Table("The region's volume by the number of LiDARs that see it", ("LiDARs", "volume (m³)", "part"), rows)
+    rows = [[n, volume, volume / total] for n, volume in enumerate(blind.seen_by_m3.tolist())]
+    columns = [Column("LiDARs", ",.0f"), Column("volume", ",.2f", "m³"), Column("part", ".2%")]
+    return Table("The region's volume by the number of LiDARs that see it", columns, rows)
 
 
 def contours_table(blind: BlindSpots) -> Table:
     """How far the shadow reaches at each height."""
     rows = [
         [
-            f"{contour.directions.height_m:g} m",
-            f"{_distance(contour, int(contour.largest_at_deg))} at {contour.largest_at_deg:.0f}°",
+            Cell(contour.directions.height_m, f"{contour.directions.height_m:g} m"),
+            Cell(
+                contour.largest_m,
+                f"{_distance(contour, int(contour.largest_at_deg)).text} at {contour.largest_at_deg:.0f}°",
+            ),
             *(_distance(contour, azimuth) for azimuth in SIDES.values()),
-            f"{contour.area_m2:.2f}",
+            contour.area_m2,
         ]
         for contour in blind.contours
     ]
-    head = ("above the ground", "largest (m)", *(f"{side} (m)" for side in SIDES), "area (m²)")
-    return Table("Shadow: how far from the body something may stay hidden, whatever the beams", head, rows)
+    distances = [Column(side, ".2f", "m") for side in ("largest", *SIDES)]
+    columns = [Column("above the ground"), *distances, Column("area", ".2f", "m²")]
+    return Table("Shadow: how far from the body something may stay hidden, whatever the beams", columns, rows)
 
 
-def _distance(contour: Contour, azimuth: int) -> str:
+def _distance(contour: Contour, azimuth: int) -> Cell:
     """The distance at an azimuth in degrees; where it ends at the region's edge, at least that."""
     distance = float(contour.distance_m[azimuth])
     if np.isnan(distance):
-        return "–"
-    return f"{'≥ ' if contour.reaches_edge[azimuth] else ''}{distance:.2f}"
+        return Cell(None, "–")
+    return Cell(distance, f"{'≥ ' if contour.reaches_edge[azimuth] else ''}{distance:.2f}")
 
 
 def contours_view(axes: "Axes", region: Region, rig: Rig, contours: Sequence[Contour]) -> None:

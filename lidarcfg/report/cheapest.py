@@ -1,138 +1,138 @@
 """The combinations searched for the cheapest rig: on the terminal, as a CSV file, in the report, and as a log."""
 
-import csv
 import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE
-from rich.table import Column
-from rich.table import Table as TerminalTable
 
 from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.geometry import Array
+from lidarcfg.placement.cheapest import Cheapest, CheapestLog, Effort, SearchedCombination
 from lidarcfg.placement.search_run import Check, Log
 from lidarcfg.placement.study import Study
 from lidarcfg.report.describe import counted, price
 from lidarcfg.report.document import ChoicePart
-from lidarcfg.report.html import Table
 from lidarcfg.report.results import FRONT, RESULTS, fingerprint
-from lidarcfg.report.text import terminal, truncate
-
-if TYPE_CHECKING:
-    from lidarcfg.placement.cheapest import Cheapest, CheapestLog, SearchedCombination
+from lidarcfg.report.table import COUNT, NOTHING, PRICE, Cell, Column, Table, named
+from lidarcfg.report.terminal import print_table, terminal
+from lidarcfg.report.text import truncate
 
 COMBINATIONS = "combinations.csv"
 SHOWN = 20  # combinations on the terminal and in the report
 
 
-def save_combinations(found: "Cheapest", folder: Path) -> None:
+def combinations_table(found: Cheapest, tried: Sequence[SearchedCombination]) -> Table:
+    """A row for each combination, with a column for each group of sensors that are chosen."""
+    columns = [
+        Column("price", PRICE),
+        *(Column(truncate(name), key=name) for name in found.groups),
+        Column("sensors", COUNT),
+        Column("verdict"),
+        Column("short by", ".0%", key="worst"),
+        Column("shortfall", ".6g"),
+        Column("misses", key="missed"),
+        Column("rigs", COUNT),
+        Column("excluded"),
+        Column("name"),
+    ]
+    rows = [
+        [
+            one.price,
+            *(Cell(models or "none", models or NOTHING) for models in one.models),
+            one.sensors,
+            _verdict(one),
+            _short(one),
+            _finite(one.shortfall),
+            Cell("; ".join(one.failing), ", ".join(map(truncate, one.failing))),
+            one.evaluations,
+            one.excluded or "",
+            named(one.name),
+        ]
+        for one in tried
+    ]
+    caption = "Cheaper combinations, the closest first" if found.meets else "The combinations that come closest"
+    return Table(caption, columns, rows)
+
+
+def _short(one: SearchedCombination) -> Cell:
+    """How far the best rig's worst place falls short."""
+    between = one.worst <= 0 and not one.meets
+    return Cell(_finite(one.worst), "places between" if between else f"{max(one.worst, 0):.0%}")
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def save_combinations(found: Cheapest, folder: Path) -> None:
     """Write combinations.csv: a line for each, by price; empty cells where a combination was not looked at."""
     with replacing(folder / COMBINATIONS) as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(
-            ("price", "sensors", *found.groups, "verdict", "worst", "shortfall", "missed", "rigs", "excluded", "name")
-        )
-        for one in found.tried:
-            writer.writerow(
-                (
-                    f"{one.price:.12g}",
-                    one.sensors,
-                    *(models or "none" for models in one.models),
-                    _verdict(one),
-                    _number(one.worst),
-                    _number(one.shortfall),
-                    "; ".join(one.failing),
-                    one.evaluations,
-                    one.excluded or "",
-                    one.name,
-                )
-            )
+        combinations_table(found, found.tried).write_csv(file)
 
 
-def print_cheapest(found: "Cheapest") -> None:
+def print_cheapest(found: Cheapest) -> None:
     """Print the answer, then the cheaper combinations that come closest, or the closest if none meets all."""
     console = terminal()
     console.print(_answer(found))
     console.print(_searched(found))
-    shown = _shown(found)
-    if shown:
-        title = "cheaper combinations, the closest first" if found.meets else "the closest combinations"
-        head, rows = _cells(found, shown[:SHOWN])
-        right = ("price", "short by", "rigs")
-        columns = [Column(name, justify="right" if name in right else "left", overflow="fold") for name in head]
-        table = TerminalTable(*columns, title=title, box=SIMPLE)
-        for row in rows:
-            table.add_row(*row)
-        console.print(table)
-    if len(shown) > SHOWN:
-        console.print(f"and {len(shown) - SHOWN:,} more: see {COMBINATIONS}")
+    table = _shown_table(found)
+    if table.rows:
+        print_table(table, table.caption)
+    if (more := len(_shown(found)) - SHOWN) > 0:
+        console.print(f"and {more:,} more: see {COMBINATIONS}")
     first = next((one for one in found.tried if one.excluded), None)
     if first:
         console.print(f"{counted(found.excluded, 'combination')} cannot meet all, such as {', '.join(_models(first))}:")
         console.print(f"{first.excluded}; the others are in {COMBINATIONS}")
 
 
-def choice_part(found: "Cheapest", command: str) -> ChoicePart:
+def choice_part(found: Cheapest, command: str) -> ChoicePart:
     """The part of the report; `command` goes on with the search."""
-    head, rows = _cells(found, _shown(found)[:SHOWN])
-    caption = "Cheaper combinations, the closest first" if found.meets else "The combinations that come closest"
-    texts = [n for n, name in enumerate(head) if name not in ("short by", "rigs")]
     return ChoicePart(
         answer=_answer(found),
         searched=f"{_searched(found)}. {COMBINATIONS} has all of them.",
-        table=Table(caption, head, rows, texts),
+        table=_shown_table(found),
         again=None if found.meets else command,
     )
 
 
-def _answer(found: "Cheapest") -> str:
+def _shown_table(found: Cheapest) -> Table:
+    """The first combinations to show, in the columns that people read."""
+    table = combinations_table(found, _shown(found)[:SHOWN])
+    return table.without("sensors", "verdict", "shortfall", "excluded", "name")
+
+
+def _answer(found: Cheapest) -> str:
     asked = found.combination
     if found.meets:
         return f"the cheapest rig found that meets all requirements: {asked.sensors}, for {price(asked.price)}"
     return f"no rig found meets all requirements; {asked.sensors}, for {price(asked.price)}, comes closest"
 
 
-def _searched(found: "Cheapest") -> str:
+def _searched(found: Cheapest) -> str:
     looked_at = sum(math.isfinite(one.worst) for one in found.tried)
     rigs = sum(one.evaluations for one in found.tried)
     all_of_them = counted(found.combinations, "combination")
     return f"{looked_at:,} of {all_of_them} looked at; {counted(rigs, 'rig')} evaluated, {found.seconds:.1f} s"
 
 
-def _shown(found: "Cheapest") -> "list[SearchedCombination]":
+def _shown(found: Cheapest) -> list[SearchedCombination]:
     """The combinations to show, the closest first; if one meets all, only those that cost less."""
     most = found.combination.price if found.meets else math.inf
     looked_at = [one for one in found.tried if math.isfinite(one.worst) and one.price < most and not one.excluded]
     return sorted(looked_at, key=lambda one: (one.worst, one.price))
 
 
-def _cells(found: "Cheapest", shown: "Sequence[SearchedCombination]") -> tuple[list[str], list[list[str]]]:
-    """The head and the rows of a table of combinations: a column for each group."""
-    head = ["price", *map(truncate, found.groups), "short by", "misses", "rigs"]
-    rows = [
-        [
-            price(one.price),
-            *(models or "–" for models in one.models),
-            "places between" if one.worst <= 0 and not one.meets else f"{max(one.worst, 0):.0%}",
-            ", ".join(map(truncate, one.failing)),
-            f"{one.evaluations:,}",
-        ]
-        for one in shown
-    ]
-    return head, rows
-
-
-def _models(one: "SearchedCombination") -> list[str]:
+def _models(one: SearchedCombination) -> list[str]:
     return [models for models in one.models if models]
 
 
-def _verdict(one: "SearchedCombination") -> str:
+def _verdict(one: SearchedCombination) -> str:
     if one.excluded:
         return "cannot meet all"
     if not math.isfinite(one.worst):
@@ -140,11 +140,7 @@ def _verdict(one: "SearchedCombination") -> str:
     return "meets all" if one.meets else "misses"
 
 
-def _number(value: float) -> str:
-    return f"{value:.6g}" if math.isfinite(value) else ""
-
-
-def save_cheapest_log(study: Study, log: "CheapestLog", folder: Path) -> None:
+def save_cheapest_log(study: Study, log: CheapestLog, folder: Path) -> None:
     """Write search.npz, from which the search for the cheapest rig can resume."""
     state = {
         "efforts": [_effort_dict(number, one) for number, one in log.efforts.items()],
@@ -156,13 +152,13 @@ def save_cheapest_log(study: Study, log: "CheapestLog", folder: Path) -> None:
         np.savez_compressed(file, asked=fingerprint(study), state=json.dumps(state))
 
 
-def save_cheapest_progress(study: Study, log: "CheapestLog", folder: Path) -> None:
+def save_cheapest_progress(study: Study, log: CheapestLog, folder: Path) -> None:
     """Write search.npz of a search that goes on; other results of an earlier search in the folder are removed."""
     remove_outdated(folder / name for name in {*RESULTS, *FRONT, COMBINATIONS} if name != "search.npz")
     save_cheapest_log(study, log, folder)
 
 
-def load_cheapest_log(study: Study, folder: Path) -> "CheapestLog":
+def load_cheapest_log(study: Study, folder: Path) -> CheapestLog:
     """The log in a folder's search.npz. Raises ConfigError if it is not one, or belongs to another search."""
     path = folder / "search.npz"
     try:
@@ -208,10 +204,8 @@ def _effort_dict(number: int, one: Any) -> dict[str, Any]:
     }
 
 
-def _log_of(state: Any) -> "CheapestLog":
+def _log_of(state: Any) -> CheapestLog:
     """The log that a state says. Raises ValueError, TypeError or KeyError if it is none."""
-    from lidarcfg.placement.cheapest import CheapestLog, Effort
-
     efforts = {}
     for one in state["efforts"]:
         x = np.array(one["x"], np.float64)

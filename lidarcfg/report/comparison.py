@@ -1,10 +1,8 @@
 """Rigs side by side in one study: a table of what differs, and one report."""
 
-import math
 import string
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +25,16 @@ from lidarcfg.report.describe import (
     describe_object,
     describe_origin,
     describe_rig,
-    mounts_table,
     region_rows,
     versions,
 )
 from lidarcfg.report.document import Baseline, Commands
-from lidarcfg.report.html import BestCell, KeyFigure, Table, render
+from lidarcfg.report.evaluation import FAR, mounts_table
+from lidarcfg.report.html import KeyFigure, render
 from lidarcfg.report.misses import describe_interval, percent
 from lidarcfg.report.results import evaluation_dict, to_json
-from lidarcfg.report.robustness import FAR, draw_lost
+from lidarcfg.report.table import COUNT, Cell, Column, Row, Table, as_written, named
+from lidarcfg.report.terminal import print_table
 from lidarcfg.report.text import DRAWN, HEAD, truncate
 from lidarcfg.report.verdict import FAIL, PASS, signed
 from lidarcfg.sensors.rig import Rig
@@ -65,15 +64,6 @@ class Contender:
         return f"{self.letter} {truncate(self.rig.name, HEAD)}"
 
 
-@dataclass(frozen=True)
-class ComparisonRow:
-    """A line of the table."""
-
-    what: str
-    values: list[str]
-    best: list[bool]  # none if all are equal, or if more is neither better nor worse
-
-
 def check_count(rigs: int) -> None:
     """Raise ConfigError unless this many rigs can be compared."""
     if not 2 <= rigs <= RIGS_MAX:
@@ -94,153 +84,163 @@ def with_baseline(rig: Rig, file: Path, details: ReportInputs, baseline: Baselin
     return contenders([(str(file), rig, details), (baseline.file, baseline.rig, baseline.details)])
 
 
-def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
-    """The rows of the comparison, rig by rig."""
-
-    def row(what: str, form: str, value: Callable[[Contender], float], sign: int = 0) -> ComparisonRow:
-        texts = [format(value(rig), form) for rig in rigs]
-        values = [sign * float(text.rstrip("%").replace(",", "")) for text in texts]  # as printed
-        best = [sign != 0 and min(values) < max(values) and v == max(values) for v in values]
-        return ComparisonRow(what, texts, best)
-
-    out = [
-        *_verdict_rows(rigs),
-        *_misses_rows(rigs, row),
-        row("sensors", ",", lambda rig: len(rig.rig.mounts)),
-        row("beams", ",", lambda rig: beams(rig.rig)),
-        row("max VSR (m)", ".6f", lambda rig: rig.found.max_vsr_m, -1),
-    ]
-    if bars := _extrapolated_row(rigs):
-        out.append(bars)
-    for i, zone in enumerate(rigs[0].found.zones):
-        out.append(row(f"max VSR in {truncate(zone.name, DRAWN)} (m)", ".6f", partial(_zone, i), -1))
-    out += _robust_rows(rigs, row)
-    out += [
-        row("subspaces", ",", lambda rig: len(rig.found.subspaces)),
-        row("volume of the worst (m³)", ".2f", lambda rig: rig.found.worst[0].volume_m3, -1),
-        row("inner radius of the worst (m)", ".3f", lambda rig: rig.found.worst[0].inscribed_radius_m, -1),
-        row("largest inner radius of any (m)", ".3f", lambda rig: rig.details.sphere_m, -1),
-    ]
-    for item in study.detection:
-        out.append(row(f"detection of {truncate(item.name, DRAWN)}", ".4f", partial(_rate, item.name), 1))
-    for i, posts in enumerate(rigs[0].found.posts if all(rig.found.posts for rig in rigs) else ()):
-        what = f"post of {posts.height_m:g} m"
-        out.append(row(f"{what}, first seen at most (m)", ".2f", partial(_first_seen, i), -1))
-        out.append(row(f"{what}, longest gap (m)", ".2f", partial(_longest_gap, i), -1))
-    out += _blind_rows(rigs, row)
-    out += [
-        row("beams across an upright pole, median", "g", lambda rig: rig.details.coverage.median_beams, 1),
-        row("positions with no beam", ".2%", lambda rig: rig.details.coverage.by_none, -1),
-        row("positions with one sensor's beams", ".2%", lambda rig: rig.details.coverage.by_one_sensor, -1),
-    ]
-    return out
+def comparison_table(study: Study, rigs: Sequence[Contender]) -> Table:
+    """A row for each figure, a column for each rig; the best of a row is marked, unless all are alike."""
+    caption = (
+        "The best of each row is marked, unless all are alike. Extrapolated values are marked if their error bar "
+        "reaches the best one's."
+    )
+    return Table(caption, [Column(""), *(Column(rig.title, ".6f") for rig in rigs)], _rows(study, rigs))
 
 
-def _verdict_rows(rigs: Sequence[Contender]) -> list[ComparisonRow]:
-    """Whether each requirement is met, and by how much; none without requirements."""
-    verdicts = [rig.found.verdict for rig in rigs if rig.found.verdict]
-    if len(verdicts) < len(rigs):
-        return []
-    out = []
-    for ones in zip(*(found.requirements for found in verdicts), strict=True):
-        texts = [f"{PASS if one.passed else FAIL} {signed(one.margin, one.unit)}" for one in ones]
-        margins = [one.relative_margin for one in ones]
-        best = [min(margins) < max(margins) and margin == max(margins) for margin in margins]
-        out.append(ComparisonRow(truncate(ones[0].name, DRAWN), texts, best))
-    return out
+def rigs_table(rigs: Sequence[Contender]) -> Table:
+    """What is compared."""
+    columns = [Column("rig"), Column("name"), Column("what it is"), Column("file")]
+    rows = [[rig.letter, named(rig.rig.name), describe_rig(rig.rig), rig.file] for rig in rigs]
+    return Table("The rigs", columns, rows)
 
 
-def _misses_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
-    """What each rig misses, over all objects and by object; none where that is not known of all."""
-    known = [rig.found.misses for rig in rigs if rig.found.misses]
-    if len(known) < len(rigs):
-        return []
-    names = [truncate(one.name, DRAWN) for one in known[0].objects]
+def _marked(what: str, cells: Sequence[Cell], goodness: Sequence[float]) -> Row:
+    """A row in which the best cells are marked; none if all are alike."""
+    least, most = min(goodness), max(goodness)
+    good = zip(cells, goodness, strict=True)
+    return [what, *(replace(cell, mark="best") if least < most == value else cell for cell, value in good)]
+
+
+def _row(what: str, form: str, values: Iterable[float], sign: int = 0) -> Row:
+    """A row of numbers; `sign`: 1 if more is better, −1 if less is."""
+    cells = [Cell(float(value), form=form) for value in values]
+    return _marked(what, cells, [sign * as_written(cell.value, form) for cell in cells])
+
+
+def _rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
+    found = [rig.found for rig in rigs]
+    coverage = [rig.details.coverage for rig in rigs]
+    zones = zip(*(one.zones for one in found), strict=True)
     return [
-        row("misses", ".2%", lambda rig: rig.found.misses.mean, -1),
-        *(row(f"misses of {name}", ".2%", partial(_missed, number), -1) for number, name in enumerate(names)),
+        *_verdict_rows(found),
+        *_misses_rows(found),
+        _row("sensors", COUNT, (len(rig.rig.mounts) for rig in rigs)),
+        _row("beams", COUNT, (beams(rig.rig) for rig in rigs)),
+        _row("max VSR (m)", ".6f", (one.max_vsr_m for one in found), -1),
+        *_extrapolated_rows(found),
+        *(
+            _row(f"max VSR in {truncate(ones[0].name, DRAWN)} (m)", ".6f", (one.max_vsr_m for one in ones), -1)
+            for ones in zones
+        ),
+        *_robust_rows(found),
+        _row("subspaces", COUNT, (len(one.subspaces) for one in found)),
+        _row("volume of the worst (m³)", ".2f", (one.worst[0].volume_m3 for one in found), -1),
+        _row("inner radius of the worst (m)", ".3f", (one.worst[0].inscribed_radius_m for one in found), -1),
+        _row("largest inner radius of any (m)", ".3f", (rig.details.sphere_m for rig in rigs), -1),
+        *(
+            _row(f"detection of {truncate(name, DRAWN)}", ".4f", (one.detection[name].rate for one in found), 1)
+            for name in (item.name for item in study.detection)
+        ),
+        *_post_rows(found),
+        *_blind_rows(found),
+        _row("beams across an upright pole, median", "g", (one.median_beams for one in coverage), 1),
+        _row("positions with no beam", ".2%", (one.by_none for one in coverage), -1),
+        _row("positions with one sensor's beams", ".2%", (one.by_one_sensor for one in coverage), -1),
     ]
 
 
-def _missed(number: int, rig: Contender) -> float:
-    return rig.found.misses.objects[number].share if rig.found.misses else math.nan
-
-
-def _zone(i: int, rig: Contender) -> float:
-    return rig.found.zones[i].max_vsr_m
-
-
-def _robust_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
-    """The worst effects of failures and mounting errors; none if they were omitted."""
-    known = [rig.found.robustness for rig in rigs]
-    if None in known:
+def _verdict_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """Whether each requirement is met, and by how much; none without requirements."""
+    verdicts = [one.verdict for one in found if one.verdict]
+    if len(verdicts) < len(found):
         return []
     out = []
-    if all(found and found.worst for found in known):
-        out.append(row("max VSR with the worst LiDAR lost (m)", ".6f", _worst_lost, -1))
-    for angles, far in zip((False, True), FAR, strict=True):
-        out.append(row(f"max VSR grows with a mount {far} off (mm)", ".1f", partial(_growth, angles), -1))
+    for ones in zip(*(verdict.requirements for verdict in verdicts), strict=True):
+        cells = [Cell(one.margin, f"{PASS if one.passed else FAIL} {signed(one.margin, one.unit)}") for one in ones]
+        out.append(_marked(truncate(ones[0].name, DRAWN), cells, [one.relative_margin for one in ones]))
     return out
 
 
-def _worst_lost(rig: Contender) -> float:
-    found = rig.found.robustness
-    return found.worst.max_vsr_m if found and found.worst else rig.found.max_vsr_m
-
-
-def _growth(angles: bool, rig: Contender) -> float:
-    return 1e3 * rig.found.robustness.largest_m(angles) if rig.found.robustness else 0.0
-
-
-def _blind_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
-    """Volumes by the number of LiDARs, and how far the shadow reaches; none where all see everything."""
-    if not rigs[0].found.blind.contours:
+def _misses_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """What each rig misses, over all objects and by object; none where that is not known of all."""
+    known = [one.misses for one in found if one.misses]
+    if len(known) < len(found):
         return []
-    out = [
-        row("shadow (m³)", ",.2f", lambda rig: rig.found.blind.volume_m3, -1),
-        row("volume seen by one LiDAR (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[1]),
-        row("volume seen by two or more (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[2:].sum(), 1),
+    by_object = zip(*(one.objects for one in known), strict=True)
+    return [
+        _row("misses", ".2%", (one.mean for one in known), -1),
+        *(
+            _row(f"misses of {truncate(ones[0].name, DRAWN)}", ".2%", (one.share for one in ones), -1)
+            for ones in by_object
+        ),
     ]
-    for i, contour in enumerate(rigs[0].found.blind.contours):
-        what = f"shadow {contour.directions.height_m:g} m above the ground"
-        out.append(row(f"{what}, largest (m)", ".2f", partial(_blind_spot, i, "largest_m"), -1))
-        out.append(row(f"{what}, area (m²)", ".2f", partial(_blind_spot, i, "area_m2"), -1))
-    return out
 
 
-def _blind_spot(i: int, what: str, rig: Contender) -> float:
-    return float(getattr(rig.found.blind.contours[i], what))
-
-
-def _first_seen(i: int, rig: Contender) -> float:
-    posts = rig.found.posts[i]
-    return float(posts.first_seen_m[posts.known].max())
-
-
-def _longest_gap(i: int, rig: Contender) -> float:
-    return float(np.nanmax(rig.found.posts[i].longest_gap_m))
-
-
-def _rate(name: str, rig: Contender) -> float:
-    return rig.found.detection[name].rate
-
-
-def _extrapolated_row(rigs: Sequence[Contender]) -> ComparisonRow | None:
-    """Every rig whose error bar reaches the best rig's is marked."""
-    bars = [rig.found.extrapolated for rig in rigs if rig.found.extrapolated]
-    if len(bars) < len(rigs):
-        return None
-    values = [bar.max_vsr_m for bar in bars]
+def _extrapolated_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """Every rig whose error bar reaches the best rig's is marked; none if one has no bar."""
+    bars = [one.extrapolated for one in found if one.extrapolated]
+    if len(bars) < len(found):
+        return []
+    least = min(bar.max_vsr_m for bar in bars)
     reach = min(bar.max_vsr_m + bar.error_m for bar in bars)
-    marked = [bar.max_vsr_m == min(values) or bar.max_vsr_m - bar.error_m <= reach for bar in bars]
-    texts = [f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}" for bar in bars]
-    return ComparisonRow("max VSR, extrapolated (m)", texts, [mark and not all(marked) for mark in marked])
+    marked = [bar.max_vsr_m == least or bar.max_vsr_m - bar.error_m <= reach for bar in bars]
+    cells = [Cell(bar.max_vsr_m, f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}") for bar in bars]
+    return [_marked("max VSR, extrapolated (m)", cells, marked)]
+
+
+def _robust_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """The worst effects of failures and mounting errors; none if they were omitted."""
+    known = [one.robustness for one in found if one.robustness]
+    if len(known) < len(found):
+        return []
+    worst = [one.worst for one in known if one.worst]
+    rows = []
+    if len(worst) == len(known):
+        rows.append(_row("max VSR with the worst LiDAR lost (m)", ".6f", (one.max_vsr_m for one in worst), -1))
+    for angles, far in zip((False, True), FAR, strict=True):
+        growth_mm = (1e3 * one.largest_m(angles) for one in known)
+        rows.append(_row(f"max VSR grows with a mount {far} off (mm)", ".1f", growth_mm, -1))
+    return rows
+
+
+def _post_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """Where posts are seen; none where that is not known of all."""
+    if not all(one.posts for one in found):
+        return []
+    rows = []
+    for ones in zip(*(one.posts for one in found), strict=True):
+        what = f"post of {ones[0].height_m:g} m"
+        first_m = (posts.first_seen_m[posts.known].max() for posts in ones)
+        rows.append(_row(f"{what}, first seen at most (m)", ".2f", first_m, -1))
+        rows.append(_row(f"{what}, longest gap (m)", ".2f", (np.nanmax(posts.longest_gap_m) for posts in ones), -1))
+    return rows
+
+
+def _blind_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """Volumes by the number of LiDARs, and how far the shadow reaches; none where all see everything."""
+    blind = [one.blind for one in found]
+    if not blind[0].contours:
+        return []
+    rows = [
+        _row("shadow (m³)", ",.2f", (one.volume_m3 for one in blind), -1),
+        _row("volume seen by one LiDAR (m³)", ",.2f", (one.seen_by_m3[1] for one in blind)),
+        _row("volume seen by two or more (m³)", ",.2f", (one.seen_by_m3[2:].sum() for one in blind), 1),
+    ]
+    for ones in zip(*(one.contours for one in blind), strict=True):
+        what = f"shadow {ones[0].directions.height_m:g} m above the ground"
+        rows.append(_row(f"{what}, largest (m)", ".2f", (one.largest_m for one in ones), -1))
+        rows.append(_row(f"{what}, area (m²)", ".2f", (one.area_m2 for one in ones), -1))
+    return rows
+
+
+def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
+    """Print a row for each property, a column for each rig; a star marks the best of a row."""
+    print_table(rigs_table(rigs).without("what it is"))
+    print_table(comparison_table(study, rigs))
 
 
 def comparison_dict(study: Study, rigs: Sequence[Contender]) -> dict[str, Any]:
     """What `compare --json` prints and compare.json holds."""
-    table = rows(study, rigs)
-    best = {row.what: [rig.letter for rig, mark in zip(rigs, row.best, strict=True) if mark] for row in table}
+    best = {
+        what.text: [rig.letter for rig, cell in zip(rigs, cells, strict=True) if cell.mark == "best"]
+        for what, *cells in comparison_table(study, rigs).cells
+    }
     return {
         "version": __version__,
         "study": study.file,
@@ -274,7 +274,6 @@ def save_comparison(study: Study, rigs: Sequence[Contender], folder: Path, comma
 
 def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> str:
     """The report as HTML. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
-    lines = rows(study, rigs)
     parts = [rigs[first : first + COLUMNS_MAX] for first in range(0, len(rigs), COLUMNS_MAX)]
     coverage = [(rig.title, rig.rig, rig.details.coverage) for rig in rigs]
     shown = drawings.least_detected([rig.found for rig in rigs])
@@ -285,13 +284,8 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         title=f"Comparison: {study.name}",
         about=f"{len(rigs)} rigs in the study {study.name}; compared by lidarcfg {__version__} on {date()}",
         summary=_summary(rigs),
-        files=Table(
-            "The rigs",
-            ("rig", "what it is", "file"),
-            [[r.title, describe_rig(r.rig), r.file] for r in rigs],
-            texts=(1, 2),
-        ),
-        tables=[_table(lines, rigs, first) for first in range(0, len(rigs), COLUMNS_MAX)],
+        files=rigs_table(rigs),
+        tables=comparison_table(study, rigs).parts(COLUMNS_MAX),
         objects=[(truncate(item.name), describe_object(item)) for item in study.detection],
         region=region_rows(study.region),
         mounts=[(rig.title, mounts_table(rig.rig)) for rig in rigs],
@@ -302,7 +296,7 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
             drawings.compare_worst(f"worst{n}", [(rig.title, rig.rig, rig.found) for rig in part])
             for n, part in enumerate(parts)
         ],
-        lost=draw_lost([(rig.title, rig.found.robustness) for rig in rigs if rig.found.robustness]),
+        lost=drawings.draw_lost([(rig.title, rig.found.robustness) for rig in rigs if rig.found.robustness]),
         sizes=drawings.draw_sizes([(rig.title, rig.details) for rig in rigs]),
         drawn_objects=len(study.detection) > len(shown) and len(shown),
         rings=drawings.draw_rings(rings) if rings else None,
@@ -325,17 +319,3 @@ def _summary(rigs: Sequence[Contender]) -> list[KeyFigure]:
         detail = "the smallest" if more == 0 else f"{more:.1%} above the smallest"
         figures.append(KeyFigure(f"Max VSR of {rig.title}", f"{rig.found.max_vsr_m:.6f} m", detail))
     return figures
-
-
-def _table(lines: Sequence[ComparisonRow], rigs: Sequence[Contender], first: int) -> Table:
-    """The table of the rigs from the `first` on."""
-    part = slice(first, first + COLUMNS_MAX)
-    body = []
-    for row in lines:
-        pairs = zip(row.values[part], row.best[part], strict=True)
-        body.append([row.what, *(BestCell(text) if best else text for text, best in pairs)])
-    caption = (
-        "The best of each row is marked, unless all are alike. Extrapolated values are marked if their error bar "
-        "reaches the best one's."
-    )
-    return Table(caption, ("", *(rig.title for rig in rigs[part])), body)

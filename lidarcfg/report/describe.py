@@ -1,24 +1,19 @@
-"""Rigs, studies and objects in words and tables, for reports."""
+"""Rigs, studies and objects in words, for reports."""
 
-import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 
-import numpy as np
-
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import Detection, DetectionObject, GapFit, Returns
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.study_file import COORDINATES
-from lidarcfg.report.html import Table
+from lidarcfg.report.table import PRICE, written
 from lidarcfg.report.text import truncate
 from lidarcfg.returns.misses import MissesFile
 from lidarcfg.sensors.rig import Rig
@@ -57,7 +52,7 @@ def counted(number: int, what: str) -> str:
 
 def price(value: float) -> str:
     """A price with all its figures."""
-    return f"{value:,.15g}"
+    return written(value, PRICE)
 
 
 def vector(values: Sequence[float] | Array, form: str = "g") -> str:
@@ -273,48 +268,3 @@ def describe_solver(study: Study) -> str:
     budget = " or ".join(f"{value:,} {name}" for name, value in budgets if value is not None)
     own = "".join(f", {key} {value:,}" for key, value in solver.own_keys.items())
     return f"{solver.method}{own}, seed {solver.seed}, for {budget}"
-
-
-def bounds_table(study: Study) -> Table:
-    """The range of each coordinate of each sensor."""
-    rows = []
-    for slot, low, high, mirror in zip(study.slots, study.lower, study.upper, study.mirror, strict=True):
-        if not math.isnan(mirror):
-            rows.append([truncate(slot.name), slot.sensor.name, f"image in y = {mirror:g} m", *["–"] * 5])
-            continue
-        angles = np.degrees([low[3:], high[3:]])
-        pairs = [*zip(low[:3], high[:3], strict=True), *zip(*angles, strict=True)]
-        cells = [f"{a:.5g}" if a == b else f"{a:.5g} … {b:.5g}" for a, b in pairs]
-        if slot.surface:
-            cells[slot.surface.axis] = f"on {truncate(slot.surface.body.name)}, from {slot.surface.side}"
-            cells[3:5] = cells[3:5] if slot.surface.upright else ["normal"] * 2
-        rows.append([truncate(slot.name), slot.sensor.name, *cells])
-    head = ("sensor", "model", *(f"{c} ({'m' if i < 3 else '°'})" for i, c in enumerate(COORDINATES)))
-    return Table("Bounds of each sensor; a single number is fixed", head, rows, texts=(1,))
-
-
-def mounts_table(rig: Rig) -> Table:
-    """The poses, and each axis's angle from the vertical."""
-    rows = []
-    for i, (mount, lidar) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
-        tilt = math.degrees(math.acos(min(max(float(lidar.axis[2]), -1.0), 1.0)))
-        angles = np.degrees(mount.rpy_rad)
-        low, high = mount.sensor.elevation_span_deg
-        rows.append(
-            [
-                f"{i + 1} {truncate(mount.name)}",
-                mount.sensor.name,
-                f"{mount.sensor.count}",
-                f"{low:g} … {high:g}",
-                *(f"{v:z.3f}" for v in mount.position_m),
-                *(f"{v:z.2f}" for v in angles),
-                f"{tilt:.2f}",
-            ]
-        )
-    head = ("sensor", "model", "beams", "elevation (°)", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)")
-    return Table(
-        "Poses in the vehicle frame: x forward, y left, z up. The tilt is the axis's angle from the vertical.",
-        (*head, "tilt (°)"),
-        rows,
-        texts=(1,),
-    )

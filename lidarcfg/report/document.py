@@ -1,14 +1,12 @@
 """The report of a rig as one HTML file: the task, the result, its accuracy, and how to repeat it."""
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
-from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation, Worst
 from lidarcfg.placement.extrapolation import Extrapolated
 from lidarcfg.placement.report_inputs import ReportInputs
@@ -26,7 +24,6 @@ from lidarcfg.report.blind_spots import (
 )
 from lidarcfg.report.describe import (
     beams_alone,
-    bounds_table,
     counted,
     date,
     describe_constraints,
@@ -36,17 +33,27 @@ from lidarcfg.report.describe import (
     describe_objective,
     describe_origin,
     describe_places,
-    describe_returns,
     describe_rig,
     describe_skips,
     describe_solver,
     has_cones,
-    mounts_table,
     region_rows,
     vector,
     versions,
 )
-from lidarcfg.report.html import KeyFigure, Table, render, with_baseline_figures, with_baseline_rows
+from lidarcfg.report.evaluation import (
+    bounds_table,
+    detection_table,
+    hiding_table,
+    lost_table,
+    mounts_table,
+    rings_table,
+    sensitivity_table,
+    shape_table,
+    worst_table,
+    zones_table,
+)
+from lidarcfg.report.html import KeyFigure, render, with_baseline_figures
 from lidarcfg.report.misses import (
     SeenBy,
     compared_with,
@@ -59,8 +66,8 @@ from lidarcfg.report.misses import (
     worst_object,
 )
 from lidarcfg.report.mounts import draw_mounts, draw_surfaces
-from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
-from lidarcfg.report.text import summarize, truncate
+from lidarcfg.report.table import Table, with_baseline
+from lidarcfg.report.text import truncate
 from lidarcfg.report.verification import verdict_part
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 
@@ -112,7 +119,7 @@ def report(
     found = details.evaluation
     own = _tables(study, rig, details)
     other = _tables(study, baseline.rig, baseline.details) if baseline else {}
-    tables = {name: with_baseline_rows(table, other.get(name)) for name, table in own.items()}
+    tables = {name: with_baseline(table, other.get(name)) for name, table in own.items()}
     summary = _summary(study, rig, details, placement)
     seen = rigs_seen(study, rig, found, placement, (baseline.rig, baseline.details.evaluation) if baseline else None)
     what = "optimised" if placement else "evaluated"
@@ -184,17 +191,17 @@ def _tables(study: Study, rig: Rig, details: ReportInputs) -> dict[str, Table | 
     robust = details.evaluation.robustness
     return {
         "mounts": mounts_table(rig),
-        "worst": _worst(found),
-        "hiding": _hiding(details) if details.gap_fits else None,
-        "detection": _detection(study, found),
-        "rings": _rings(details.rings),
+        "worst": worst_table(found),
+        "hiding": hiding_table(details) if details.gap_fits else None,
+        "detection": detection_table(study, found),
+        "rings": rings_table(details.rings),
         "zones": zones_table(found.zones) if found.zones else None,
         "lost": lost_table(robust, study) if robust and robust.without else None,
         "sensitivity": sensitivity_table(rig, robust) if robust else None,
         "posts": posts_table(found.posts) if found.posts else None,
         "volumes": volumes_table(found.blind),
         "contours": contours_table(found.blind) if found.blind.contours else None,
-        "shape": _shape(details),
+        "shape": shape_table(details),
     }
 
 
@@ -215,7 +222,7 @@ def _drawings(
         "surfaces": draw_surfaces(study, rig) if any(slot.surface for slot in study.slots) else None,
         "history": drawings.draw_history(study, placement) if placement else None,
         "worst": drawings.draw_worst(study, rig, found),
-        "lost": draw_lost(robust) if robust else None,
+        "lost": drawings.draw_lost(robust) if robust else None,
         "sizes": drawings.draw_sizes(both),
         "rings": drawings.draw_rings(rings) if details.rings else None,
         "places": drawings.draw_places(region, rig, places) if places else None,
@@ -323,111 +330,10 @@ def _believed(told: Believed) -> str:
     return f"{told.objective:.6f}, at {told.places:,} places of each object"
 
 
-def _worst(found: Evaluation) -> Table:
-    rows = [
-        [
-            f"{i}",
-            f"{worst.vsr_m:.4f}",
-            f"{worst.volume_m3:.2f}",
-            f"{worst.surface_m2:.2f}",
-            f"{worst.inscribed_radius_m:.3f}",
-            vector(worst.centroid_m, ".1f"),
-            "; ".join(
-                summarize(
-                    [
-                        f"{n}: {_between(gap, *pair)}"
-                        for n, (gap, pair) in enumerate(zip(worst.gap, worst.between_deg, strict=True), 1)
-                    ]
-                )
-            ),
-        ]
-        for i, worst in enumerate(found.worst, 1)
-    ]
-    sizes = ("VSR (m)", "volume (m³)", "surface (m²)", "inner radius (m)", "centroid (m)")
-    caption = "The worst subspaces; the inner radius is that of the largest sphere inside"
-    return Table(caption, ("", *sizes, "between the beams, by sensor"), rows, texts=(6,))
-
-
-def _hiding(details: ReportInputs) -> Table:
-    """Which objects fit into a subspace."""
-    rows = []
-    for name, found in details.gap_fits.items():
-        row = [truncate(name), "yes" if found.in_worst else "no", f"{found.subspaces:,}"]
-        if found.nearest_at_m is None:
-            rows.append([*row, "–", "–", "–"])
-            continue
-        row += [f"{found.largest_vsr_m:.4f}", f"{found.nearest_m:.2f}", vector(found.nearest_at_m, ".1f")]
-        rows.append(row)
-    head = (
-        "object",
-        "fits into the worst gap",
-        "gaps it fits into",
-        "largest of these, VSR (m)",
-        "nearest (m)",
-        "at x, y (m)",
-    )
-    caption = "Objects that fit wholly into a gap, that is a subspace, with their edges parallel to the axes"
-    return Table(caption, head, rows, texts=(1, 5))
-
-
-def _shape(details: ReportInputs) -> Table:
-    """Sizes of the subspaces, and beams across poles."""
-    found = details.evaluation
-    known = details.coverage
-    parts = zip(("half", "90 %", "99 %", "all"), np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0)).tolist(), strict=True)
-    rows = [
-        ["subspaces", f"{len(found.subspaces):,}"],
-        *([f"VSR that {part} of them do not exceed (m)", f"{value:.4f}"] for part, value in parts),
-        ["diameter of the largest sphere in any (m)", f"{2 * details.sphere_m:.3f}"],
-        ["beams across an upright pole, median", f"{known.median_beams:g}"],
-        ["positions of poles with no beam", f"{known.by_none:.2%}"],
-        ["positions with one sensor's beams", f"{known.by_one_sensor:.2%}"],
-    ]
-    return Table("Subspaces and coverage in numbers", ("", "value"), rows)
-
-
 def _is_outside(worst: Worst) -> bool:
     """Whether a subspace lies above or below all beams of every sensor that sees it."""
     seen = [pair for pair in worst.between_deg if pair != [None, None]]
     return bool(seen) and all(None in pair for pair in seen)
-
-
-def _between(gap: int, low: float | None, high: float | None) -> str:
-    if gap == BLIND:
-        return "blind"
-    if low is None:
-        return "no cones" if high is None else f"below {high:g}°"
-    return f"above {low:g}°" if high is None else f"{low:g}…{high:g}°"
-
-
-def _detection(study: Study, found: Evaluation) -> Table | None:
-    rows = [
-        [
-            truncate(item.name),
-            f"{rate.rate:.4f}",
-            describe_places(study, item, rate),
-            describe_object(item) + (f"; {describe_returns(rate.returns)}" if rate.returns else ""),
-        ]
-        for item, rate in ((item, found.detection[item.name]) for item in study.detection)
-    ]
-    head = ("object", "rate", "places", "what it is")
-    caption = "Detection rate of each object at the places that were tried; ± is of the 95 % interval over all places"
-    return Table(caption, head, rows, texts=(2, 3)) if rows else None
-
-
-def _rings(rings: dict[str, Rings]) -> Table | None:
-    """Rates and positions, ring by ring."""
-    if not rings:
-        return None
-    edges = next(iter(rings.values())).edges_m
-    rows = [
-        [
-            f"{low:g} … {high:g}",
-            *(f"{r.rate[i]:.4f} of {r.places[i]:,}" if r.places[i] else "–" for r in rings.values()),
-        ]
-        for i, (low, high) in enumerate(pairwise(edges))
-    ]
-    return Table("Detection rate and number of positions, by distance", ("distance (m)", *rings), rows)
 
 
 def _coverage(details: ReportInputs, rig: Rig) -> dict[str, str | None]:

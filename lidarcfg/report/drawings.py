@@ -1,6 +1,7 @@
 """The drawings of a report: search, worst subspaces, distribution of sizes, detection and coverage."""
 
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -8,7 +9,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from lidarcfg.placement.detection import Rings
-from lidarcfg.placement.evaluation import Evaluation
+from lidarcfg.placement.evaluation import Evaluation, Robustness
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.report_inputs import Coverage, DetectionMap, ReportInputs
 from lidarcfg.placement.search_run import Placement
@@ -38,8 +39,7 @@ from lidarcfg.report.canvas import (
     shade_excluded,
     thinned,
 )
-from lidarcfg.report.describe import cost_label
-from lidarcfg.report.plots import COLOURS, history_top
+from lidarcfg.report.plots import search_view
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
@@ -49,27 +49,13 @@ if TYPE_CHECKING:
 MAP = "cividis"  # looks the same to colour-blind people
 WORST = "#D55E00"
 OBJECTS_MAX = 12  # that are drawn
+LEGEND_ROW = 0.12  # of the height of bars
 
 
 def draw_history(study: Study, found: Placement) -> Markup:
     """Best and mean over the evaluations."""
-
-    def draw(figure: "Figure") -> None:
-        axes = figure.subplots()
-        evaluations = [cycle.evaluations for cycle in found.history]
-        dot = "o" if len(evaluations) < 3 else ""
-        axes.plot(evaluations, [cycle.mean for cycle in found.history], marker=dot, color=COLOURS[5], label="mean")
-        axes.plot(evaluations, [cycle.best for cycle in found.history], marker=dot, color=COLOURS[0], label="best")
-        if study.is_max_vsr:
-            midpoint = found.midpoint_max_vsr_m
-            axes.axhline(midpoint, color="0.4", ls=":", lw=1, label="midpoint of the bounds")
-        if found.believed:
-            axes.axhline(found.objective, color="0.4", ls=":", lw=1, label="the rig chosen, at fresh places")
-        axes.set(xlabel="evaluations", ylabel=cost_label(study), ylim=(0, history_top(study, found)))
-        axes.grid(True)
-        axes.legend(loc="best")
-
-    return drawing("history", 2.9, "best and mean of the search over its evaluations", draw)
+    alt = "best and mean of the search over its evaluations"
+    return drawing("history", 2.9, alt, lambda figure: search_view(figure.subplots(), study, found))
 
 
 def worst_view(axes: "Axes", view: str, rig: Rig, found: Evaluation, count: int) -> None:
@@ -162,6 +148,36 @@ def draw_sizes(named: Sequence[tuple[str, ReportInputs]]) -> Markup:
             axes.grid(True)
 
     return drawing("sizes", 3.9, "histograms of VSR: number of subspaces, and percentage of the volume", draw)
+
+
+def lost_view(axes: "Axes", titled: Sequence[tuple[str, Robustness]]) -> None:
+    """Bars of max VSR for the whole rig and with each LiDAR lost; one of each group for each title."""
+    most = max(len(found.without) for _, found in titled)
+    width = 0.8 / len(titled)
+    names = [[left.lost or "" for left in found.without] for _, found in titled]
+    alike = [dict.fromkeys(label(name, 14) for name in of if name) for of in zip_longest(*names, fillvalue="")]
+    for i, (title, found) in enumerate(titled):
+        values = [left.max_vsr_m for left in (found.whole, *found.without)]
+        at = [n + (i - (len(titled) - 1) / 2) * width for n in range(len(values))]
+        axes.bar(at, values, 0.92 * width, color=colour(i), label=label(title))
+    axes.set_xticks(range(most + 1), ["whole rig", *("without\n" + " / ".join(of) for of in alike)])
+    axes.set(xlim=(-0.6, most + 0.6), ylabel="max VSR (m)")
+    axes.grid(True, axis="y")
+    axes.set_axisbelow(True)
+    if len(titled) > 1:
+        axes.legend(ncols=2, loc="upper left")
+        axes.set_ylim(0, axes.get_ylim()[1] * (1 + LEGEND_ROW * -(-len(titled) // 2)))  # above the bars
+
+
+def draw_lost(titled: Sequence[tuple[str, Robustness]]) -> Markup | None:
+    """Max VSR with each LiDAR lost; None where no rig has two."""
+    if not any(found.without for _, found in titled):
+        return None
+
+    def draw(figure: "Figure") -> None:
+        lost_view(figure.subplots(), titled)
+
+    return drawing("lost", 2.8, "max VSR of the whole rig, and with each LiDAR lost", draw)
 
 
 def draw_rings(titled: Sequence[tuple[str, Mapping[str, Rings]]]) -> Markup:

@@ -7,7 +7,6 @@ from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
 
 import numpy as np
 from markupsafe import Markup
@@ -26,7 +25,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
 from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price, versions
 from lidarcfg.report.document import Commands
-from lidarcfg.report.html import KeyFigure, Table, render
+from lidarcfg.report.html import KeyFigure, render
 from lidarcfg.report.plots import CUT_OFF, new_figure, save_figure
 from lidarcfg.report.results import (
     FRONT,
@@ -38,6 +37,8 @@ from lidarcfg.report.results import (
     write_history,
     write_text,
 )
+from lidarcfg.report.table import COUNT, PRICE, Cell, Column, Row, Table, named
+from lidarcfg.report.terminal import print_table, terminal
 from lidarcfg.report.text import DRAWN, truncate
 
 if TYPE_CHECKING:
@@ -66,21 +67,10 @@ LEGEND_COLUMNS = 5
 
 def front_dict(study: Study, found: Front) -> dict[str, Any]:
     """What `optimize` writes as front.json where there are sensors to choose."""
-    points = {point.combination.name: point for point in found.points}
     return {
         "objective": describe_objective(study),
-        "points": [_point(point) for point in found.points],
-        "combinations": [
-            {
-                "name": one.combination.name,
-                "price": one.combination.price,
-                "objective": one.objective if math.isfinite(one.objective) else None,
-                "sensors": one.combination.sensors,
-                "evaluations": one.evaluations,
-                "on_front": one.combination.name in points,
-            }
-            for one in found.candidates
-        ],
+        "points": [{"detection": {}} | record for record in points_table(study, found).records],
+        "combinations": candidates_table(found).records,
         "evaluations": found.evaluations,
         "dominated_evaluations": found.dominated_evaluations,
         "seconds": found.seconds,
@@ -92,19 +82,81 @@ def front_dict(study: Study, found: Front) -> dict[str, Any]:
     }
 
 
-def _point(point: Point) -> dict[str, Any]:
-    placement = point.placement
-    return {
-        "name": point.combination.name,
-        "folder": f"points/{point.combination.name}",
-        "price": point.combination.price,
-        "objective": placement.objective,
-        "sensors": point.combination.sensors,
-        "misses": placement.evaluation.misses and placement.evaluation.misses.mean,
-        "max_vsr_m": placement.evaluation.max_vsr_m,
-        "detection": {name: detection.rate for name, detection in placement.evaluation.detection.items()},
-        "evaluations": placement.evaluations,
-    }
+def points_table(study: Study, found: Front) -> Table:
+    """A row for each rig on the front."""
+    columns = [
+        Column("price", PRICE),
+        Column("objective", ".6f"),
+        Column("misses", ".6f"),
+        Column("max VSR", ".6f", "m", "max_vsr_m"),
+        *(Column(f"detection of {truncate(one.name)}", ".4f", key=("detection", one.name)) for one in study.detection),
+        Column("sensors"),
+        Column("evaluations", COUNT),
+        Column("name"),
+        Column("folder"),
+    ]
+    rows: list[Row] = []
+    for point in found.points:
+        name = point.combination.name
+        folder = f"points/{name}"
+        evaluation = point.placement.evaluation
+        rows.append(
+            [
+                point.combination.price,
+                point.placement.objective,
+                evaluation.misses and evaluation.misses.mean,
+                evaluation.max_vsr_m,
+                *(evaluation.detection[one.name].rate for one in study.detection),
+                point.combination.sensors,
+                point.placement.evaluations,
+                named(name),
+                Cell(folder, f"points/{truncate(name)}", link=f"{folder}/report.html"),
+            ]
+        )
+    return Table("The rigs that no other is both cheaper and better than; each has a report of its own.", columns, rows)
+
+
+def _shown_points(study: Study, found: Front) -> Table:
+    """The columns of the points that people read."""
+    missed = all(point.placement.evaluation.misses for point in found.points)
+    return points_table(study, found).without("name", *["misses"] * (not missed))
+
+
+def candidates_table(found: Front) -> Table:
+    """A row for each combination, and whether it is on the front."""
+    columns = [
+        Column("price", PRICE),
+        Column("sensors"),
+        Column("objective", ".6f"),
+        Column("evaluations", COUNT),
+        Column("name"),
+        Column("standing", key="on_front"),
+    ]
+    rows = [
+        [
+            one.combination.price,
+            one.combination.sensors,
+            one.objective if math.isfinite(one.objective) else None,
+            one.evaluations,
+            named(one.combination.name),
+            Cell(one.on_front, _standing(found, one)),
+        ]
+        for one in found.candidates
+    ]
+    return Table("All combinations; of those not on the front few rigs were evaluated.", columns, rows)
+
+
+def print_front(study: Study, found: Front) -> None:
+    """Print a line for each rig on the front, and what the search spent."""
+    print_table(_shown_points(study, found))
+    console = terminal()
+    tried = sum(one.evaluations > 0 for one in found.candidates)
+    all_of_them = counted(len(found.candidates), "combination")
+    console.print(f"{counted(len(found.points), 'rig')} on the front; {tried} of {all_of_them} tried")
+    console.print(
+        f"{found.evaluations:,} evaluations, {found.dominated_evaluations:,} of them of combinations not on the front; "
+        f"{found.seconds:.1f} s"
+    )
 
 
 def save_front(
@@ -219,8 +271,8 @@ def front_page(study: Study, found: Front, values: dict[str, Any], commands: Com
         ],
         objective=describe_objective(study),
         plot=front_svg(study, found),
-        points=_points_table(study, found),
-        candidates=_candidates_table(found),
+        points=_shown_points(study, found),
+        candidates=candidates_table(found).without("name"),
         untried=len(found.candidates) - len(tried),
         search=[
             ("solver", describe_solver(study)),
@@ -245,45 +297,6 @@ def _what(point: Point) -> str:
 
 def _spent(found: Front) -> str:
     return f"{1 - found.dominated_evaluations / max(found.evaluations, 1):.0%}"
-
-
-def _points_table(study: Study, found: Front) -> Table:
-    rows = []
-    missed = all(point.placement.evaluation.misses for point in found.points)
-    for point in found.points:
-        name = point.combination.name
-        evaluation = point.placement.evaluation
-        link = Markup('<a href="points/{}/report.html">{}</a>').format(quote(name), truncate(name))
-        rows.append(
-            [
-                price(point.combination.price),
-                f"{point.placement.objective:.6f}",
-                *([f"{evaluation.misses.mean:.6f}"] if missed and evaluation.misses else []),
-                point.combination.sensors,
-                f"{evaluation.max_vsr_m:.6f}",
-                *(f"{evaluation.detection[item.name].rate:.4f}" for item in study.detection),
-                link,
-            ]
-        )
-    rates = [f"detection of {item.name}" for item in study.detection]
-    head = ("price", "objective", *["misses"] * missed, "sensors", "max VSR (m)", *rates)
-    caption = "The rigs that no other is both cheaper and better than; each has a report of its own."
-    return Table(caption, (*head, "report"), rows, texts=(head.index("sensors"), len(head)))
-
-
-def _candidates_table(found: Front) -> Table:
-    rows = [
-        [
-            price(one.combination.price),
-            one.combination.sensors,
-            f"{one.objective:.6f}" if math.isfinite(one.objective) else "–",
-            f"{one.evaluations:,}",
-            _standing(found, one),
-        ]
-        for one in found.candidates
-    ]
-    head = ("price", "sensors", "objective", "evaluations", "standing")
-    return Table("All combinations; of those not on the front few rigs were evaluated.", head, rows, texts=(1, 4))
 
 
 def _standing(found: Front, one: Candidate) -> str:

@@ -15,7 +15,7 @@ from lidarcfg.placement.search_run import Believed, Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import BAR_IN, LABELS_IN, TITLE_IN, WIDTH_IN, drawing, label, sensor_dots
 from lidarcfg.report.evidence import draw_body, finish_map
-from lidarcfg.report.html import Table, TotalCell
+from lidarcfg.report.table import Cell, Column, Row, Table
 from lidarcfg.report.text import truncate
 from lidarcfg.returns.missed_map import missed_map
 from lidarcfg.returns.misses import Z_95, Interval, MissesFound, ObjectMisses
@@ -118,24 +118,19 @@ def describe_misses(found: MissesFound) -> str:
     )
 
 
-def misses_rows(rigs: Sequence[SeenBy]) -> list[list[str]]:
-    """A row for each object, and the last for their mean: a name, then a cell for each rig."""
-    first = rigs[0].misses
-    rows = []
-    for number, one in enumerate(first.objects):
-        weight = "" if len(set(first.weights.tolist())) == 1 else f" × {one.weight:g}"
-        each = [rig.misses.objects[number] for rig in rigs]
-        rows.append([truncate(one.name) + weight, *(cell(item.share, item.interval) for item in each)])
-    mean = "mean" if len(set(first.weights.tolist())) == 1 else "weighted mean"
-    return [*rows, [mean, *(cell(rig.misses.mean, rig.misses.interval) for rig in rigs)]]
-
-
 def misses_table(rigs: Sequence[SeenBy]) -> Table:
-    """What each rig misses, by object."""
-    *rows, mean = misses_rows(rigs)
-    caption = f"Misses: {describe_misses(rigs[0].misses)}. In brackets: the interval of 95 %"
-    head = ("object", *(rig.title for rig in rigs))
-    return Table(caption, head, [*rows, [mean[0], *map(TotalCell, mean[1:])]])
+    """What each rig misses: a row for each object, and the last for their mean."""
+    first = rigs[0].misses
+    alike = len(set(first.weights.tolist())) == 1
+    rows: list[Row] = []
+    for number, one in enumerate(first.objects):
+        each = [rig.misses.objects[number] for rig in rigs]
+        name = Cell(one.name, truncate(one.name) + (f" × {one.weight:g}" if not alike else ""))
+        rows.append([name, *(Cell(item.share, cell(item.share, item.interval)) for item in each)])
+    totals = [Cell(rig.misses.mean, cell(rig.misses.mean, rig.misses.interval), mark="total") for rig in rigs]
+    rows.append(["mean" if alike else "weighted mean", *totals])
+    caption = f"Misses: {describe_misses(first)}. In brackets: the interval of 95 %"
+    return Table(caption, [Column("misses"), *(Column(rig.title, ".2%") for rig in rigs)], rows)
 
 
 def compared_with(rigs: Sequence[SeenBy]) -> SeenBy | None:

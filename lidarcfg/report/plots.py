@@ -52,28 +52,34 @@ def history_top(study: "Study", found: "Placement") -> float | None:
     return min(1.05 * max(shown), CUT_OFF * found.history[-1].best) or None
 
 
-def draw_convergence(study: "Study", found: "Placement") -> "Figure":
-    """Best and mean max VSR of the food sources over the evaluations (the paper's figure 4)."""
-    figure = new_figure(7, 4)
-    axes = figure.subplots()
+def search_view(axes: "Axes", study: "Study", found: "Placement") -> None:
+    """Best and mean of a search over its evaluations (the paper's figure 4)."""
     evaluations = [cycle.evaluations for cycle in found.history]
-    axes.plot(evaluations, [cycle.best for cycle in found.history], color=COLOURS[0], label="best")
-    axes.plot(evaluations, [cycle.mean for cycle in found.history], color=COLOURS[5], label="mean of the swarm")
+    dot = "o" if len(evaluations) < 3 else ""
+    axes.plot(evaluations, [cycle.mean for cycle in found.history], marker=dot, color=COLOURS[5], label="mean")
+    axes.plot(evaluations, [cycle.best for cycle in found.history], marker=dot, color=COLOURS[0], label="best")
     top = history_top(study, found)
     if study.is_max_vsr:
         midpoint_m = found.midpoint_max_vsr_m
         beyond = f" (above: {midpoint_m:.3f} m)" if top is not None and midpoint_m > top else ""
-        axes.axhline(midpoint_m, color="0.5", ls=":", label=f"midpoint of the bounds{beyond}")
-    axes.set(xlabel="evaluations", ylabel=cost_label(study), ylim=(0, top))
+        axes.axhline(midpoint_m, color="0.4", ls=":", lw=1, label=f"midpoint of the bounds{beyond}")
     if found.believed:
-        axes.axhline(found.objective, color="0.5", ls=":", label="the rig chosen, at fresh places")
+        axes.axhline(found.objective, color="0.4", ls=":", lw=1, label="the rig chosen, at fresh places")
+    axes.set(xlabel="evaluations", ylabel=cost_label(study), ylim=(0, top))
+    axes.grid(True)
+    axes.legend(loc="best")
+
+
+def draw_convergence(study: "Study", found: "Placement") -> "Figure":
+    """The course of a search."""
+    figure = new_figure(7, 4)
+    axes = figure.subplots()
+    search_view(axes, study, found)
     how = f"{study.solver.method}, seed {study.solver.seed}"
     misses = found.evaluation.misses
     value = f"misses {misses.mean:.2%}" if misses else f"max VSR {found.evaluation.max_vsr_m:.4f} m"
-    title = f"{truncate(study.name)}: {value}, {how}"
-    axes.set_title(title, parse_math=False)
+    axes.set_title(f"{truncate(study.name)}: {value}, {how}", parse_math=False)
     axes.grid(alpha=0.3)
-    axes.legend()
     return figure
 
 

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.box import SIMPLE
 from rich.console import Console
-from rich.table import Table
 
 from lidarcfg.packets.families import codec
 from lidarcfg.report.describe import counted
 from lidarcfg.report.plots import COLOURS, new_figure
-from lidarcfg.report.text import terminal, truncate
+from lidarcfg.report.table import COUNT, NOTHING, Column, Table
+from lidarcfg.report.terminal import print_table, terminal
+from lidarcfg.report.text import truncate
 from lidarcfg.sensors.scan_pattern import ScanPattern
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.units import MICROSECOND_NS, MILLISECOND_NS
@@ -27,25 +27,30 @@ DRAWN = 200_000  # firings of a scan pattern, at most
 
 def print_sensors(sensors: Sequence[Sensor]) -> None:
     """Print one line per model."""
-    table = Table("name", "beams", "elevation (°)", "range (m)", "exported", "description", box=SIMPLE)
-    for sensor in sensors:
-        low, high = sensor.elevation_span_deg
-        table.add_row(
+    names = ("name", "beams", "elevation (°)", "range (m)", "exported", "description")
+    rows = [
+        [
             sensor.name,
             f"{len(sensor.pattern.time_ns):,} firings" if sensor.scan_pattern else str(sensor.count),
-            f"{low:g} to {high:g}",
-            f"{sensor.range.min_m:g} to {sensor.range.max_m:g}" if sensor.range else "–",
-            sensor.codec or ("as points" if sensor.range else "–"),
+            _span(sensor.elevation_span_deg),
+            _span((sensor.range.min_m, sensor.range.max_m)) if sensor.range else NOTHING,
+            sensor.codec or ("as points" if sensor.range else NOTHING),
             sensor.description,
-        )
-    terminal().print(table)
+        ]
+        for sensor in sensors
+    ]
+    print_table(Table("Sensor models", [Column(name) for name in names], rows))
+
+
+def _span(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:g} to {ends[1]:g}"
 
 
 def print_sensor(sensor: Sensor) -> None:
     """Print a model: the beam table or the channels of its scan pattern, then every fact with its source."""
     console = terminal()
     console.print(f"{sensor.name}  {sensor.maker}  {sensor.description}", style="bold")
-    console.print(_channel_table(sensor.pattern) if sensor.scan_pattern else _beam_table(sensor))
+    print_table(_channel_table(sensor.pattern) if sensor.scan_pattern else _beam_table(sensor))
     facts = sensor.model_dump(mode="json", exclude_none=True)
     if sensor.scan_pattern:
         del facts["beams"]
@@ -57,39 +62,50 @@ def print_sensor(sensor: Sensor) -> None:
 
 def _channel_table(pattern: ScanPattern) -> Table:
     """A row for each channel of a scan pattern, and one for all."""
-    table = Table("channel", "firings", "elevation (°)", "azimuth (°), clockwise", "firings a frame", box=SIMPLE)
+    columns = [
+        Column("channel"),
+        Column("firings", COUNT),
+        Column("elevation", unit="°"),
+        Column("azimuth (°), clockwise"),
+        Column("firings a frame", ",.6g"),
+    ]
     azimuth_deg = (np.degrees(pattern.azimuth_rad) + 180) % 360 - 180
     elevation_deg = np.degrees(pattern.elevation_rad)
     every = pattern.channel >= 0
-    rows = [(str(channel), pattern.channel == channel) for channel in range(pattern.channels)]
-    for name, some in (*rows, ("all", every)) if len(rows) > 1 else rows:
-        table.add_row(
+    chosen = [(str(channel), pattern.channel == channel) for channel in range(pattern.channels)]
+    rows = [
+        [
             name,
-            f"{some.sum():,}",
-            f"{elevation_deg[some].min():g} to {elevation_deg[some].max():g}",
-            f"{azimuth_deg[some].min():g} to {azimuth_deg[some].max():g}",
-            f"{some.sum() / pattern.frames:,.6g}",
-        )
-    return table
+            int(some.sum()),
+            _span((elevation_deg[some].min(), elevation_deg[some].max())),
+            _span((azimuth_deg[some].min(), azimuth_deg[some].max())),
+            float(some.sum() / pattern.frames),
+        ]
+        for name, some in ((*chosen, ("all", every)) if len(chosen) > 1 else chosen)
+    ]
+    return Table("Channels", columns, rows)
 
 
 def _beam_table(sensor: Sensor) -> Table:
-    table = Table("laser", "ring", "elevation (°)", "azimuth (°)", "height (mm)", "fires at (ns)", box=SIMPLE)
-    firing_ns: list[object] = ["–"] * sensor.count
+    """A row for each laser."""
+    columns = [
+        Column("laser", COUNT),
+        Column("ring", COUNT),
+        Column("elevation", "g", "°"),
+        Column("azimuth", "g", "°"),
+        Column("height", "g", "mm"),
+        Column("fires at", ".0f", "ns"),
+    ]
+    firing_ns: Sequence[int | None] = [None] * sensor.count
     if sensor.codec:
         firing_ns = codec(sensor).firing_ns().tolist()
     elif sensor.firing:
-        firing_ns = [*(sensor.firing.offset_ns or [0] * sensor.count)]
-    for laser in range(sensor.count):
-        table.add_row(
-            str(laser),
-            str(sensor.ring[laser]),
-            f"{sensor.beams.elevation_deg[laser]:g}",
-            f"{sensor.beams.azimuth_offset_deg[laser]:g}" if sensor.beams.azimuth_offset_deg else "0",
-            f"{sensor.beams.vertical_offset_mm[laser]:g}" if sensor.beams.vertical_offset_mm else "0",
-            str(firing_ns[laser]),
-        )
-    return table
+        firing_ns = sensor.firing.offset_ns or [0] * sensor.count
+    beams = sensor.beams
+    zeros = [0.0] * sensor.count
+    by_laser = (beams.elevation_deg, beams.azimuth_offset_deg or zeros, beams.vertical_offset_mm or zeros, firing_ns)
+    rows = list(zip(range(sensor.count), sensor.ring, *by_laser, strict=True))
+    return Table("Lasers", columns, rows)
 
 
 def _print_part(console: Console, part: str, values: dict[str, Any]) -> None:

@@ -1,28 +1,18 @@
 """Results as tables on the terminal."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-import numpy as np
-from rich.box import SIMPLE
 from rich.console import Console
-from rich.table import Column, Table
 
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.extrapolation import Extrapolated
 from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.subspace import BLIND
-from lidarcfg.report.describe import beams_alone, counted, describe_places, describe_returns, has_cones, price
-from lidarcfg.report.robustness import robust_lines
-from lidarcfg.report.text import MANY, summarize, terminal, truncate
+from lidarcfg.report.describe import beams_alone, describe_places, describe_returns, has_cones
+from lidarcfg.report.evaluation import mounts_table, robust_lines, worst_table, zones_table
+from lidarcfg.report.terminal import print_facts, print_table, terminal
+from lidarcfg.report.text import MANY, truncate
 from lidarcfg.report.verdict import print_verdict
 from lidarcfg.sensors.rig import Rig
-
-if TYPE_CHECKING:
-    from lidarcfg.placement.front import Front  # which loads CMA-ES, and so matplotlib
-    from lidarcfg.report.comparison import Contender
 
 FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
 
@@ -34,58 +24,22 @@ def print_placement(study: Study, found: Placement, evaluation: Evaluation) -> N
     for line in found.remarks:
         terminal().print(line)
     _print_misses(study, found.rig, evaluation, found)
-    search = Table(box=SIMPLE, show_header=False)
+    search: list[tuple[str, str]] = []
     if study.only_required:
-        search.add_row("least margin", f"{found.objective:+.2%} of what is demanded")
+        search.append(("least margin", f"{found.objective:+.2%} of what is demanded"))
     elif not (study.is_max_vsr or study.is_misses):
-        search.add_row("objective", f"{found.objective:.6f}")
+        search.append(("objective", f"{found.objective:.6f}"))
     if has_cones(found.rig):
-        search.add_row("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m")
+        search.append(("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m"))
         which = "optimised" if study.is_max_vsr else "this rig"
-        search.add_row(f"max VSR, {which}", f"{evaluation.max_vsr_m:.4f} m")
+        search.append((f"max VSR, {which}", f"{evaluation.max_vsr_m:.4f} m"))
     first = f", and {found.first_evaluations:,} of plain rigs" if study.requirements else ""
-    search.add_row("evaluations", f"{found.evaluations:,}{first}")
-    search.add_row("seconds", f"{found.seconds:.1f}")
-    terminal().print(search)
+    search.append(("evaluations", f"{found.evaluations:,}{first}"))
+    search.append(("seconds", f"{found.seconds:.1f}"))
+    print_facts(search)
     _print_rest(study, found.rig, evaluation)
     for line in found.at_bounds:
         terminal().print(line)
-
-
-def print_front(study: Study, found: "Front") -> None:
-    """Print a line for each rig on the front, and what the search spent."""
-    objects = [item.name for item in study.detection]
-    missed = all(point.placement.evaluation.misses for point in found.points)
-    numbers = (
-        "price",
-        "objective",
-        *["misses"] * missed,
-        "max VSR (m)",
-        *(f"detection of {truncate(name)}" for name in objects),
-    )
-    table = Table(
-        *(Column(name, justify="right") for name in numbers), "sensors", Column("folder", overflow="fold"), box=SIMPLE
-    )
-    for point in found.points:
-        evaluation = point.placement.evaluation
-        table.add_row(
-            price(point.combination.price),
-            f"{point.placement.objective:.4f}",
-            *([f"{evaluation.misses.mean:.4f}"] if missed and evaluation.misses else []),
-            f"{evaluation.max_vsr_m:.4f}",
-            *(f"{evaluation.detection[name].rate:.4f}" for name in objects),
-            point.combination.sensors,
-            f"points/{truncate(point.combination.name)}",
-        )
-    console = terminal()
-    console.print(table)
-    tried = sum(one.evaluations > 0 for one in found.candidates)
-    all_of_them = counted(len(found.candidates), "combination")
-    console.print(f"{counted(len(found.points), 'rig')} on the front; {tried} of {all_of_them} tried")
-    console.print(
-        f"{found.evaluations:,} evaluations, {found.dominated_evaluations:,} of them of combinations not on the front; "
-        f"{found.seconds:.1f} s"
-    )
 
 
 def print_evaluation(study: Study, rig: Rig, found: Evaluation) -> None:
@@ -98,18 +52,13 @@ def print_evaluation(study: Study, rig: Rig, found: Evaluation) -> None:
 
 def _print_misses(study: Study, rig: Rig, found: Evaluation, placement: Placement | None = None) -> None:
     """What the rig misses, beside others; nothing where that is not known."""
-    from lidarcfg.report.misses import describe_misses, misses_lines, misses_rows, rigs_seen  # which loads drawings
+    from lidarcfg.report.misses import describe_misses, misses_lines, misses_table, rigs_seen  # which loads drawings
 
     rigs = rigs_seen(study, rig, found, placement)
     if not rigs:
         return
+    print_table(misses_table(rigs))
     console = terminal()
-    table = Table("misses", *(Column(one.title, justify="right") for one in rigs), box=SIMPLE)
-    *rows, mean = misses_rows(rigs)
-    for row in rows:
-        table.add_row(*row)
-    table.add_row(*mean, style="bold")
-    console.print(table)
     for line in misses_lines(study, rigs, placement):
         console.print(line)
     console.print(f"misses: {describe_misses(rigs[0].misses)}; in brackets: the interval of 95 %")
@@ -118,11 +67,7 @@ def _print_misses(study: Study, rig: Rig, found: Evaluation, placement: Placemen
 def _print_rest(study: Study, rig: Rig, found: Evaluation) -> None:
     """The rig, its max VSR and detection rates, and the worst subspaces."""
     console = terminal()
-    poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
-    for mount in rig.mounts:
-        angles = np.degrees(mount.rpy_rad)
-        poses.add_row(truncate(mount.name), *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
-    console.print(poses)
+    print_table(mounts_table(rig).without("model", "beams", "elevation"))
     cones = has_cones(rig)
     if cones:
         _print_max_vsr(console, rig, found)
@@ -137,7 +82,8 @@ def _print_rest(study: Study, rig: Rig, found: Evaluation) -> None:
     for line in blind_lines(found.blind):
         console.print(line)
     if cones:
-        _print_worst(console, found)
+        console.print("the worst subspaces:")
+        print_table(worst_table(found).without("", "surface"))
 
 
 def _print_max_vsr(console: Console, rig: Rig, found: Evaluation) -> None:
@@ -145,52 +91,10 @@ def _print_max_vsr(console: Console, rig: Rig, found: Evaluation) -> None:
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces{', ' * bool(alone)}{alone}")
     if found.extrapolated:
         console.print(extrapolated_line(found.extrapolated))
-    for zone in found.zones:
-        weighted = f"; {zone.weight * zone.max_vsr_m:.6f} m with its weight of {zone.weight:g}"
-        console.print(f"max VSR in {truncate(zone.name)}: {zone.max_vsr_m:.6f} m{weighted}")
+    if found.zones:
+        print_table(zones_table(found.zones))
     for line in robust_lines(found.robustness) if found.robustness else ():
         console.print(line)
-
-
-def _print_worst(console: Console, found: Evaluation) -> None:
-    worst = Table(
-        "VSR (m)", "volume (m³)", "inner radius (m)", "centroid (m)", "between the beams at (°), by sensor", box=SIMPLE
-    )
-    for space in found.worst:
-        worst.add_row(
-            f"{space.vsr_m:.4f}",
-            f"{space.volume_m3:.2f}",
-            f"{space.inscribed_radius_m:.3f}",
-            ", ".join(f"{v:z.2f}" for v in space.centroid_m),
-            "  ".join(summarize([_between(*one) for one in zip(space.gap, space.between_deg, strict=True)])),
-        )
-    console.print("the worst subspaces:")
-    console.print(worst)
-
-
-def print_comparison(study: Study, rigs: "Sequence[Contender]") -> None:
-    """Print a row for each property, a column for each rig; a star marks the best of a row."""
-    from lidarcfg.report.comparison import rows  # which loads what pages are made with
-
-    names = Table("rig", "name", "file", box=SIMPLE)
-    for rig in rigs:
-        names.add_row(rig.letter, truncate(rig.rig.name), rig.file)
-    lines = rows(study, rigs)
-    console = terminal()
-    console.print(names)
-    cells = [
-        [f"{value} *" if best else f"{value}  " for value, best in zip(row.values, row.best, strict=True)]
-        for row in lines
-    ]
-    widest = max(len(cell) for line in cells for cell in line) + 3  # and the gap between columns
-    fit = max((console.width - max(len(row.what) for row in lines) - 4) // widest, 1)
-    for first in range(0, len(rigs), fit):
-        part = slice(first, first + fit)
-        side = Table("", *(Column(f"{rig.letter}  ", justify="right") for rig in rigs[part]), box=SIMPLE)
-        for row, line in zip(lines, cells, strict=True):
-            side.add_row(row.what, *line[part])
-        console.print(side)
-    console.print("* best of its row")
 
 
 def blind_lines(blind: BlindSpots) -> list[str]:
@@ -222,11 +126,3 @@ def extrapolated_line(found: Extrapolated) -> str:
         f"extrapolated to ever smaller cuboids {found.max_vsr_m:.6f} ± {found.error_m:.6f} m, {reached} "
         f"({found.cuboids:,} cuboids of {edges} m, {found.seconds:.2f} s)"
     )
-
-
-def _between(gap: int, between_deg: Sequence[float | None]) -> str:
-    if gap == BLIND:
-        return "blind"
-    if all(angle is None for angle in between_deg):
-        return "no cones"
-    return "…".join("" if angle is None else f"{angle:g}" for angle in between_deg)

@@ -1,13 +1,6 @@
-"""Text of reports and tables: short forms of long names, unprintable characters as escapes, and the terminal."""
+"""Text of reports and tables: short forms of long names, and unprintable characters as escapes."""
 
-import sys
 from collections.abc import Sequence
-from typing import Any
-
-from rich.console import Console
-from rich.text import Text
-
-from lidarcfg.errors import one_line
 
 HEAD = 20  # characters over a column of numbers
 DRAWN = 28  # in a drawing
@@ -31,16 +24,3 @@ def summarize(texts: Sequence[str], most: int = MANY) -> list[str]:
 def printable(text: object) -> str:
     """A text with unprintable characters as escapes, except for line ends and joiners of letters."""
     return "".join(c if c.isprintable() or c in "\n\u200c\u200d" else repr(c)[1:-1] for c in str(text))
-
-
-class Terminal(Console):
-    """A console that writes the control characters of names as escapes, and their line ends too."""
-
-    def render_str(self, text: str, **options: Any) -> Text:
-        """A text, or a table's cell."""
-        return super().render_str(one_line(text), **options)
-
-
-def terminal() -> Console:
-    """Standard output, as wide as the terminal, or as the tables need where there is none."""
-    return Terminal(width=None if sys.stdout.isatty() else 110, highlight=False, markup=False, emoji=False)

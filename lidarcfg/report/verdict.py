@@ -1,17 +1,48 @@
-"""A verdict as a table on the terminal and as JUnit XML, alone or beside another rig's."""
+"""A verdict as a table, on the terminal, and as JSON and JUnit XML, alone or beside another rig's."""
 
 import math
 from collections.abc import Sequence
+from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
-from rich.box import SIMPLE
-from rich.table import Column, Table
-
-from lidarcfg.report.text import terminal, truncate
+from lidarcfg.report.table import Cell, Column, Table, named
+from lidarcfg.report.terminal import print_table, terminal
+from lidarcfg.report.text import truncate
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 
 PASS, FAIL = "PASS", "FAIL"
-WORD_MAX = 24  # letters that a column leaves together
+
+
+def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
+    """A row for each requirement. `against`: the verdict on another rig by the same requirements, shown beside it."""
+    loses = any(one.lost for one in found.requirements)
+    columns = [
+        Column("requirement"),
+        Column("verdict"),
+        *(Column(name, ".6g") for name in ("demanded", "reached", "margin")),
+        *([Column("margin of the other"), Column("change")] if against else []),
+        Column("worst at x, y", ".2f", "m"),
+        Column("heading", ".0f", "°"),
+        Column("from body", ".2f", "m"),
+        Column("phases there"),
+        *([Column("sensors lost there")] if loses else []),
+    ]
+    rows = [
+        [
+            named(one.name),
+            Cell(one.passed, PASS, mark="pass") if one.passed else Cell(one.passed, FAIL, mark="fail"),
+            Cell(one.demanded, demanded(one)),
+            Cell(one.reached, quantity(one.reached, one.unit)),
+            Cell(one.margin, signed(one.margin, one.unit)),
+            *(compared(one, against.requirements[n]) if against else []),
+            *_worst_cells(one),
+            Cell(one.phases, phases(one)),
+            *([Cell(one.lost, ", ".join(map(truncate, one.lost)))] if loses else []),
+        ]
+        for n, one in enumerate(found.requirements)
+    ]
+    caption = "Phases are quarters of the step between two firings, by sensor, where the fewest beams return"
+    return Table(caption, columns, rows)
 
 
 def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
@@ -19,43 +50,10 @@ def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
 
     `against`: the verdict on another rig by the same requirements, whose margins are shown in place of some columns.
     """
-    others = ["margin of the other", "change"] if against else []
-    where = ["worst at (m)"] if against else ["worst at (m)", "heading", "from body"]
-    names = [truncate(one.name) for one in found.requirements]
-    word = max(len(word) for name in (*names, "requirement") for word in name.split())
-    loses = any(one.lost for one in found.requirements)
-    table = Table(
-        "verdict",
-        Column("requirement", overflow="fold", min_width=min(word, WORD_MAX)),
-        *(Column(name, justify="right") for name in ("demanded", "reached", "margin", *others)),
-        *(Column(name, justify="right") for name in where),
-        *([] if against else [Column("phases", overflow="fold")]),
-        *([Column("sensors lost", overflow="fold")] if loses else []),
-        box=SIMPLE,
-    )
-    for n, one in enumerate(found.requirements):
-        beside = compared(one, against.requirements[n]) if against else []
-        table.add_row(
-            PASS if one.passed else FAIL,
-            names[n],
-            demanded(one),
-            quantity(one.reached, one.unit),
-            signed(one.margin, one.unit),
-            *beside,
-            *_worst_cells(one)[: len(where)],
-            *([] if against else [phases(one)]),
-            *([", ".join(map(truncate, one.lost))] if loses else []),
-        )
-    console = terminal()
-    console.print(table)
-    breaking = [
-        f"{name}: fails without any one of {', '.join(map(truncate, one.breaking))}"
-        for name, one in zip(names, found.requirements, strict=True)
-        if one.passed and one.breaking
-    ]
-    for line in [*breaking, *remarks(found)]:
-        console.print(line)
-    console.print(conclusion(found))
+    table = verdict_table(found, against)
+    print_table(table.without("heading", "from body", "phases there") if against else table)
+    for line in [*remarks(found), conclusion(found)]:
+        terminal().print(line)
 
 
 def conclusion(found: Verdict) -> str:
@@ -72,6 +70,8 @@ def remarks(found: Verdict) -> list[str]:
     out = []
     for one in found.requirements:
         texts = list(one.notes)
+        if one.passed and one.breaking:
+            texts.append(f"fails without any one of {', '.join(map(truncate, one.breaking))}")
         if one.not_achievable:
             texts.append(f"not achievable: {one.not_achievable}")
         if one.fraction is not None:
@@ -123,35 +123,24 @@ def worst_place(one: RequirementVerdict) -> str:
     return at
 
 
-def _worst_cells(one: RequirementVerdict) -> list[str]:
-    """The worst place for the table."""
+def _worst_cells(one: RequirementVerdict) -> list[Any]:
+    """The worst place for the table: where, the heading, the distance from the body."""
     worst = one.worst
     if worst is None:
-        return ["", "", ""]
-    return [
-        f"{worst.x_m:.2f}, {worst.y_m:.2f}",
-        "" if worst.heading_deg is None else f"{worst.heading_deg:.0f}°",
-        "" if worst.distance_m is None else f"{worst.distance_m:.2f} m",
-    ]
+        return [Cell(None, "")] * 3
+    rest = [Cell(None, "") if value is None else value for value in (worst.heading_deg, worst.distance_m)]
+    return [(worst.x_m, worst.y_m), *rest]
 
 
-def lost_sensors(one: RequirementVerdict) -> str:
-    """The sensors that fail in the worst case, and those whose loss breaks the requirement."""
-    lost = ", ".join(truncate(name) for name in one.lost)
-    breaking = ", ".join(truncate(name) for name in one.breaking)
-    if not one.passed or not breaking:
-        return lost
-    return f"{lost}; each alone breaks it: {breaking}".removeprefix("; ")
-
-
-def compared(one: RequirementVerdict, other: RequirementVerdict) -> list[str]:
+def compared(one: RequirementVerdict, other: RequirementVerdict) -> list[Cell]:
     """Another rig's margin, and by how much this one's is better."""
     change = one.margin - other.margin
     if not math.isfinite(change):
         word = "" if one.margin == other.margin else "better" if one.margin > other.margin else "worse"
     else:
         word = "the same" if change == 0 else f"{signed(change, one.unit)} {'better' if change > 0 else 'worse'}"
-    return [f"{signed(other.margin, one.unit)} {PASS if other.passed else FAIL}", word]
+    margin = f"{signed(other.margin, one.unit)} {PASS if other.passed else FAIL}"
+    return [Cell(other.margin, margin), Cell(change, word)]
 
 
 def junit(found: Verdict, name: str) -> str:

@@ -9,23 +9,23 @@ from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
-from lidarcfg.report.describe import date, describe_rig, mounts_table, versions
+from lidarcfg.report.describe import date, describe_rig, versions
+from lidarcfg.report.evaluation import mounts_table
 from lidarcfg.report.evidence import draw_frames, draw_map, draw_views, map_caption
-from lidarcfg.report.html import FailCell, PassCell, Table, render
+from lidarcfg.report.html import render
 from lidarcfg.report.mounts import draw_mounts
+from lidarcfg.report.table import Cell, Column, Row, Table, named
 from lidarcfg.report.text import truncate
 from lidarcfg.report.verdict import (
     FAIL,
     PASS,
-    compared,
     conclusion,
     demanded,
     figure,
-    lost_sensors,
-    phases,
     quantity,
     remarks,
     signed,
+    verdict_table,
     worst_place,
 )
 from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
@@ -76,58 +76,24 @@ def verdict_part(found: Verification, rig: Rig, against: Verdict | None = None) 
     return VerdictPart(verdict.passed, conclusion(verdict), verdict_table(verdict, against), remarks(verdict), parts)
 
 
-def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
-    """A row for each requirement."""
-    losses = [lost_sensors(one) for one in found.requirements]
-    rows = []
-    for n, one in enumerate(found.requirements):
-        rows.append(
-            [
-                truncate(one.name),
-                PassCell(PASS) if one.passed else FailCell(FAIL),
-                demanded(one),
-                quantity(one.reached, one.unit),
-                signed(one.margin, one.unit),
-                *(compared(one, against.requirements[n]) if against else []),
-                worst_place(one),
-                phases(one),
-                *([losses[n]] if any(losses) else []),
-            ]
-        )
-    beside = ("margin of the other", "change") if against else ()
-    head = (
-        "requirement",
-        "verdict",
-        "demanded",
-        "reached",
-        "margin",
-        *beside,
-        "worst place",
-        "phases there",
-        *(["sensors lost there; whose loss breaks it"] if any(losses) else []),
-    )
-    words = head.index("worst place")
-    caption = "Phases are quarters of the step between two firings, by sensor, where the fewest beams return"
-    return Table(caption, head, rows, texts=(1, *range(words, len(head))))
-
-
 def margins_table(found: MountMargins, rig: Rig) -> Table:
     """What is reached with each sensor lost, and with each coordinate of its mount off."""
-    rows = []
+    rows: list[Row] = []
     for mount, without, off in zip(rig.mounts, found.without.tolist(), found.off.tolist(), strict=True):
-        rows.append([truncate(mount.name), *(_margin(value, found) for value in (without, *off))])
+        rows.append([named(mount.name), *(_margin(value, found) for value in (without, *off))])
     units = f"{100 * OFF_M:g} cm", f"{math.degrees(OFF_RAD):g}°"
-    head = ("mount", "lost", *(f"{name} {units[axis > 2]} off" for axis, name in enumerate(COORDINATES)))
+    names = ["lost", *(f"{name} {units[axis > 2]} off" for axis, name in enumerate(COORDINATES))]
+    columns = [Column("mount"), *(Column(name, ".6g") for name in names)]
     limit = f"at {'most' if found.at_most else 'least'} {figure(found.demanded, found.unit)} demanded"
     lost = ", ".join(filter(None, ["with a sensor lost", found.where_lost]))
     off = ", ".join(filter(None, ["with one coordinate of its mount off, either way", found.where_off]))
-    caption = f"{found.what}: {limit}, {_margin(found.whole, found)} with all mounts in place; {lost}; {off}"
-    return Table(caption, head, rows)
+    caption = f"{found.what}: {limit}, {_margin(found.whole, found).text} with all mounts in place; {lost}; {off}"
+    return Table(caption, columns, rows)
 
 
-def _margin(value: float, found: MountMargins) -> str:
+def _margin(value: float, found: MountMargins) -> Cell:
     text = f"≥ {figure(found.cap, found.unit)}" if found.cap <= value < math.inf else figure(value, found.unit)
-    return text if found.meets(value) else FailCell(text)
+    return Cell(value, text, mark="" if found.meets(value) else "fail")
 
 
 def sentence(one: RequirementVerdict) -> str:

@@ -132,6 +132,10 @@ class Judge(ABC):
         """(count, 4) drawn places that may join; fewer are the first of these."""
         return NO_PLACES
 
+    def missed_nearby(self, mounts: Sequence[Mount]) -> Array:
+        """(n, 4) places around the lowest of those of trials at which a rig fails, the worst first; soon found."""
+        return NO_PLACES
+
     def missed(self, mounts: Sequence[Mount]) -> Array:
         """(n, 4) places that trials leave out and at which a rig fails, the worst first."""
         return NO_PLACES

@@ -279,6 +279,21 @@ class ObjectJudge(Judge):
         """The measurements that a verdict on a rig is of; of one just judged, as kept."""
         return self._tried(mounts, *self._base(mounts))
 
+    def missed_nearby(self, mounts: Sequence[Mount]) -> Array:
+        """(n, 4) places around the lowest of those of trials at which a rig fails, the worst first.
+
+        None if all of these have many more returns than demanded, or where counting takes long.
+        """
+        if self.item.at_least < 1 or self.item.cluster_m is not None:
+            return NO_PLACES
+        some = self.measured_at(self.item.trial_places, mounts, self.first_cap)
+        if some.values.min() >= self.first_cap:
+            return NO_PLACES
+        for found in self._refined(mounts, some, no_progress):
+            if len(failing := self._failing(found.every)):
+                return failing
+        return NO_PLACES
+
     def missed(self, mounts: Sequence[Mount]) -> Array:
         """(n, 4) places of the base grid at which a rig fails that passes where trials are judged, the worst first.
 
@@ -308,7 +323,10 @@ class ObjectJudge(Judge):
         """
         if self.item.at_least < 1:
             return NO_PLACES
-        tried = self._tried(mounts, *self._base(mounts), stops=True).every
+        return self._failing(self._tried(mounts, *self._base(mounts), stops=True).every)
+
+    def _failing(self, tried: Measured) -> Array:
+        """(n, 4) the places with too few returns, the worst first, no more than may join."""
         short = np.flatnonzero(tried.values < self.item.returns)
         order = np.argsort(tried.values[short], kind="stable")[:MISSED_MOST]
         return np.ascontiguousarray(tried.places[short[order]])

@@ -194,6 +194,28 @@ def test_heads_that_stand_still(turned_deg):
     assert counts[:, 0].tolist() == [[2, 1], [int(turned_deg % 360 == 0), 0], [0, 0], [0, 0]]
 
 
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_plate_around_the_axis(side):
+    """A level square of 2 m, 3 m above or below the sensor: what hits it is told by where beams are at that height."""
+    rng = np.random.default_rng(5)
+    count = 5000
+    elevation, azimuth = rng.uniform(-1.5, 1.5, count), rng.uniform(0, 2 * math.pi, count)
+    phase = rng.integers(2, size=count).astype(np.int32)
+    none = np.zeros(count)
+    one = still(
+        lag_rad=azimuth, gating_rad=azimuth, offset_rad=none, elevation_rad=elevation,
+        start_m=np.zeros((count, 3)), phase=phase,
+    )  # fmt: skip
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    plate = returns.TargetShape(bvh(corners[[[0, 1, 2], [0, 2, 3]]]), corners[0], corners[2])
+    found = counted(one, np.array([[0.0, 0, 1 + 3 * side, 0]]), target=plate)
+    aside_m = np.where(side * elevation > 0, 3 / np.tan(abs(elevation)), np.inf)
+    with np.errstate(invalid="ignore"):
+        hits = (abs(aside_m * np.cos(azimuth)) <= 1) & (abs(aside_m * np.sin(azimuth)) <= 1)
+    assert found.tolist() == [[int((hits & (phase == n)).sum()) for n in range(2)]]
+    assert found.min() > 20
+
+
 def count_with(**changes):
     """A call of count_returns with some arguments changed."""
     given = {

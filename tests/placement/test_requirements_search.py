@@ -307,7 +307,7 @@ def test_what_trials_miss_is_found(study, monkeypatch):
     one = study(CRATES, returns=120, lost=1, more="")
     (item,) = one.requirements.items
     (judge,) = Verifier(one.requirements).judges
-    some = 0
+    some = nearby = 0
     for poses in poses_of(one, 12):
         mounts = one.rig(poses).mounts
         counts = lowest_at(item.stand.base, item.target, mounts, one.requirements.site.obstacles, 1000, 3).counts
@@ -316,7 +316,12 @@ def test_what_trials_miss_is_found(study, monkeypatch):
         assert {tuple(place) for place in missed} <= {tuple(place) for place in short}
         assert (len(missed) > 0) == (len(short) > 0)
         some += 0 < len(short) < len(item.stand.base)
+        found = judge.missed_nearby(mounts)
+        counts = lowest_at(found, item.target, mounts, one.requirements.site.obstacles, 1000, 3).counts
+        assert (counts.min(axis=1) < 120).all()
+        nearby += len(found) > 0
     assert some
+    assert nearby
 
 
 def test_the_search_looks_through_the_slit(study):

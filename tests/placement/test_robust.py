@@ -15,7 +15,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.placement.subspace import Links
 from lidarcfg.placement.zones import weights
-from lidarcfg.report.robustness import lost_table
+from lidarcfg.report.evaluation import lost_table
 from lidarcfg.requirements.robustness import Robust, mounted
 from tests.naive import placement as naive_placement
 from tests.naive import robust as naive
@@ -184,8 +184,8 @@ def test_the_table_of_failures_has_the_objective_where_it_is_another(tmp_path, m
     loaded = study(tmp_path, more)
     found = robustness(loaded, loaded.rig(loaded.midpoint))
     table = lost_table(found, loaded)
-    assert ("objective" in table.head) == own
-    for row, left in zip(table.rows, (found.whole, *found.without), strict=True):
+    assert ("objective" in [column.head for column in table.columns]) == own
+    for row, left in zip(table.texts, (found.whole, *found.without), strict=True):
         worth = max((zone.weight * zone.max_vsr_m for zone in left.zones), default=left.max_vsr_m)
         assert row[-1] == f"{worth:.6f}" if own else left.objective == worth
 

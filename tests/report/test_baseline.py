@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from lidarcfg.report.html import Table, difference, with_baseline_rows
+from lidarcfg.report.table import Cell, Column, Table, with_baseline
 from tests.command_line import lidarcfg
 from tests.report.test_report import read
 
@@ -97,30 +97,42 @@ def test_a_baseline_that_does_not_fit(folder, text, said):
 
 
 def test_differences_are_of_what_is_printed():
-    assert difference("0.3000", "0.2500") == "+0.0500"
-    assert difference("≥ 3.10 at 20°", "2.00 at 5°") == "+1.10"
-    assert difference("1,200", "1,300") == "-100"
-    assert difference("12.5 %", "10.0 %") == "+2.5 %"
-    assert difference("0.50 of 12", "0.50 of 9") == "+0.00"
-    assert [difference(*pair) for pair in (("–", "1"), ("-15 … 15", "-10 … 10"), ("± 0.1", "exact"))] == ["", "", ""]
+    """0.30004 is 0.3000 and 0.24996 is 0.2500; 1199.6 is 1,200; a number that is in no words is none."""
+    rate, count, part = Column("rate", ".4f"), Column("count", ",.0f"), Column("part", ".1%")
+    assert rate.difference(0.30004, 0.24996) == "+0.0500"
+    assert rate.difference(Cell(3.1, "≥ 3.1000 at 20°"), Cell(2.0, "2.0000 at 5°")) == "+1.1000"
+    assert count.difference(1199.6, 1300) == "-100"
+    assert part.difference(0.1254, 0.0996) == "+2.5%"
+    assert rate.difference(0.5, 0.5) == rate.difference(0.49999, 0.5) == "+0.0000"
+    assert rate.difference(Cell(0.51, form=".2f"), Cell(0.5, form=".2f")) == "+0.01"
+    for pair in ((None, 1.0), (float("inf"), 1.0), ((-15, 15), (-10, 10)), ("exact", 0.1)):
+        assert rate.difference(*pair) == ""
+    assert Column("what it is").difference(1, 2) == ""
+
+
+COLUMNS = [Column(""), Column("a", "g"), Column("b")]
 
 
 def test_sensors_of_one_name_belong_together():
     """Whatever their numbers; of the others the first with the first."""
-    own = Table("t", ("", "x"), [["1 roof", "4"], ["2 left", "3"], ["3 rear", "2"]], texts=())
-    more = Table("t", ("", "x"), [["1 top", "9"], ["2 rear", "8"], ["3 front", "7"], ["4 side", "6"]], texts=())
-    assert with_baseline_rows(own, more).rows == [
+
+    def table(*rows):
+        return Table("t", COLUMNS[:2], [[Cell(name, f"{n} {name}"), value] for n, name, value in rows])
+
+    own = table((1, "roof", 4), (2, "left", 3), (3, "rear", 2))
+    more = table((1, "top", 9), (2, "rear", 8), (3, "front", 7), (4, "side", 6))
+    assert with_baseline(own, more).texts == [
         ["1 roof", "4"], ["baseline: 1 top", "9"], ["difference", "-5"],
         ["2 left", "3"], ["baseline: 3 front", "7"], ["difference", "-4"],
-        ["3 rear", "2"], ["baseline: 2 rear", "8"], ["difference", "-6"],
+        ["3 rear", "2"], ["baseline", "8"], ["difference", "-6"],
         ["baseline: 4 side", "6"],
     ]  # fmt: skip
 
 
 def test_rows_that_only_one_of_them_has():
-    own = Table("t", ("", "a", "b"), [["x", "1", "p"]], texts=(2,))
-    more = Table("t", ("", "a", "b"), [["y", "3", "q"], ["z", "4", "r"]], texts=(2,))
-    assert with_baseline_rows(own, more).rows == [
+    own = Table("t", COLUMNS, [["x", 1, "p"]])
+    more = Table("t", COLUMNS, [["y", 3, "q"], ["z", 4, "r"]])
+    assert with_baseline(own, more).texts == [
         ["x", "1", "p"], ["baseline: y", "3", "q"], ["difference", "-2", ""], ["baseline: z", "4", "r"],
     ]  # fmt: skip
-    assert with_baseline_rows(own, None) is own
+    assert with_baseline(own, None) is own

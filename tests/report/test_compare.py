@@ -13,9 +13,8 @@ from lidarcfg.placement.extrapolation import Extrapolated
 from lidarcfg.placement.metric import Spheres
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import load_study
-from lidarcfg.report.comparison import comparison, comparison_dict, contenders, rows
+from lidarcfg.report.comparison import comparison, comparison_dict, comparison_table, contenders, print_comparison
 from lidarcfg.report.document import Commands
-from lidarcfg.report.tables import print_comparison
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 from tests.report.test_report import STUDY, read
@@ -54,13 +53,22 @@ def compared(folder, study, *names, tolerance=None):
     return loaded, contenders(named)
 
 
+def rows(study, rigs):
+    """The cells of each row by its name."""
+    return {name.text: cells for name, *cells in comparison_table(study, rigs).cells}
+
+
+def best(cells):
+    return [cell.mark == "best" for cell in cells]
+
+
 def run(folder, *words):
     return lidarcfg("compare", *words, cwd=folder)
 
 
 def test_each_column_is_what_evaluate_says(folder):
     study, rigs = compared(folder, "s.yaml", "few", "many", "few", tolerance=0.2)
-    table = {row.what: row for row in rows(study, rigs)}
+    table = rows(study, rigs)
     assert [rig.title for rig in rigs] == ["A few", "B many", "C few"]
     for column, name in enumerate(("few", "many", "few")):
         found = evaluate(study, load_rig(folder / f"{name}.yaml"), 0.2)
@@ -77,15 +85,15 @@ def test_each_column_is_what_evaluate_says(folder):
             "detection of box": f"{found.detection['box'].rate:.4f}",
             "detection of <i>&": f"{found.detection['<i>&'].rate:.4f}",
         }
-        assert {what: table[what].values[column] for what in expected} == expected
-    assert table["max VSR (m)"].best == [False, True, False]
-    assert table["detection of box"].best == [False, True, False]
-    assert not any(table["sensors"].best + table["beams"].best + table["subspaces"].best)
+        assert {what: table[what][column].text for what in expected} == expected
+    assert best(table["max VSR (m)"]) == [False, True, False]
+    assert best(table["detection of box"]) == [False, True, False]
+    assert not any(best(table["sensors"] + table["beams"] + table["subspaces"]))
 
 
 def test_nothing_is_best_among_equals(folder):
     study, rigs = compared(folder, "s.yaml", "few", "few", tolerance=0.2)
-    assert not any(mark for row in rows(study, rigs) for mark in row.best)
+    assert not any(any(best(row)) for row in rows(study, rigs).values())
     assert comparison_dict(study, rigs)["best"] == {}
 
 
@@ -101,8 +109,7 @@ def test_error_bars_that_reach_the_best_are_marked_as_well(folder):
                 strict=True,
             )
         ]
-        table = rows(study, contenders(named))
-        return next(row.best for row in table if row.what == "max VSR, extrapolated (m)")
+        return best(rows(study, contenders(named))["max VSR, extrapolated (m)"])
 
     assert marked((1.0, 0.1), (1.15, 0.1), (1.3, 0.1)) == [True, True, False]
     assert marked((1.0, 0.01), (1.15, 0.01), (0.9, 0.01)) == [False, False, True]
@@ -152,7 +159,7 @@ def test_a_study_without_objects(folder):
     study, rigs = compared(folder, "bare.yaml", "few", "many")
     page = read(comparison(study, rigs, Commands("typed", "typed")))
     assert "names no objects" in page.words
-    assert not [row.what for row in rows(study, rigs) if row.what.startswith("detection")]
+    assert not [what for what in rows(study, rigs) if what.startswith("detection")]
 
 
 @pytest.mark.parametrize(

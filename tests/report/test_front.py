@@ -91,7 +91,7 @@ def test_the_page_and_the_table(folder):
         assert page.count(f'href="{point["folder"]}/report.html"') == 1
         cost = f"{point['price']:,g}"
         objective = point["objective"]
-        assert re.search(rf"^ +{cost} +{objective:.4f} .*{point['sensors']}", printed, re.MULTILINE)
+        assert re.search(rf"^ +{cost} +{objective:.6f} .*{point['sensors']}", printed, re.MULTILINE)
         assert f"{objective:.6f}" in page
     assert page.count("<svg") == 1
     assert (folder / "out/front.png").read_bytes().startswith(b"\x89PNG")

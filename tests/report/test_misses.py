@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.report.misses import SeenBy, colours, draw_misses, misses_lines, misses_rows, rigs_seen
+from lidarcfg.report.misses import SeenBy, colours, draw_misses, misses_lines, misses_table, rigs_seen
 from lidarcfg.returns.missed_map import missed_map
 from lidarcfg.returns.misses import MissesFound, ObjectMisses
 from tests.command_line import lidarcfg
@@ -110,7 +110,8 @@ def test_the_same_rig_is_said_to_be_the_same(tmp_path):
     misses = found(("a", 1.0, [(n, 0, n < 10) for n in range(100)]))
     rigs = [SeenBy(title, study.rig(study.midpoint), misses) for title in ("this rig", "best plain rig")]
     assert misses_lines(study, rigs) == ["This rig is the best plain rig. It misses 10.00 %."]
-    assert misses_rows(rigs)[-1][:2] == ["mean", misses_rows(rigs)[0][1]]
+    texts = misses_table(rigs).texts
+    assert texts[-1][:2] == ["mean", texts[0][1]]
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +142,7 @@ def test_the_report_begins_with_what_is_missed(folder):
         result["baseline"]["misses"],
         told["midpoint"]["misses"],
     ]
-    head = "object this rig best plain rig baseline middle of the bounds"
+    head = "misses this rig best plain rig baseline middle of the bounds"
     rows = [f"{name} × {w} " for name, w in (("child", 2), ("tyre", 1))]
     for number, row in enumerate(rows):
         assert row + " ".join(cell(one["objects"][number]) for one in columns) in page.words

@@ -15,9 +15,10 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.comparison import contenders, save_comparison
-from lidarcfg.report.describe import bounds_table, date, describe_constraints, mounts_table
+from lidarcfg.report.describe import date, describe_constraints
 from lidarcfg.report.document import Commands
 from lidarcfg.report.drawings import least_detected
+from lidarcfg.report.evaluation import bounds_table, mounts_table
 from lidarcfg.report.plots import draw_convergence
 from lidarcfg.report.results import save_evaluation, save_placement
 from lidarcfg.report.tables import print_evaluation
@@ -330,7 +331,7 @@ def test_no_angle_is_minus_nothing(tmp_path, capsys):
     rig.write_text(
         "name: r\nsensors: [{name: a, model: vlp-16, position_m: [-1e-6, 1, 2], rpy_deg: [-1, -0.001, -0.0]}]\n"
     )
-    assert mounts_table(load_rig(rig)).rows[0][4:9] == ["0.000", "1.000", "2.000", "-1.00", "0.00"]
+    assert mounts_table(load_rig(rig)).texts[0][4:9] == ["0.000", "1.000", "2.000", "-1.00", "0.00"]
     study = make(tmp_path, STUDY)
     print_evaluation(study, load_rig(rig), evaluate(study, load_rig(rig)))
     assert " -0.00" not in capsys.readouterr().out
@@ -356,7 +357,7 @@ def test_mount_surfaces_are_said_and_drawn(tmp_path):
     page = read((tmp_path / "o/report.html").read_text())
     assert "where sensors may sit on the vehicle, from above, left, right" in [label for _, label in page.labels]
     assert "Green: the middle of a base may be here, to half its radius." in page.words
-    rows = {row[0]: row[2:] for row in bounds_table(study).rows}
+    rows = {row[0]: row[2:] for row in bounds_table(study).texts}
     assert rows["top"] == ["4.5 … 7.5", "3.2 … 4.8", "on cab, from above", "0", "0", "0"]
     assert rows["side_0"] == ["5 … 7", "on cab, from left", "0.2 … 1.2", "normal", "normal", "0 … 20"]
     assert rows["side_1"][0] == "image in y = 4 m"

@@ -12,7 +12,8 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report.describe import describe_skips
-from lidarcfg.report.document import _detection, _skipped
+from lidarcfg.report.document import _skipped
+from lidarcfg.report.evaluation import detection_table
 from lidarcfg.report.results import placement_dict
 from lidarcfg.sensors.rig import load_rig
 
@@ -110,7 +111,7 @@ def test_a_sampled_rate_of_exactly_one_is_not_exact(tmp_path):
     assert rate.rate == 1.0
     assert rate.half_width == 1 - 0.05 ** (1 / rate.places)
     assert (1 - rate.half_width) ** rate.places == pytest.approx(0.05)
-    rows = {row[0]: row for row in _detection(study, found).rows}
+    rows = {row[0]: row for row in detection_table(study, found).texts}
     assert rows["drawn"][2] == f"± {rate.half_width:.4f}, {rate.places} drawn places"
     assert rows["child"][2].startswith(f"{found.detection['child'].places:,} places, ")
     assert "exact" not in rows["child"][2]

@@ -9,8 +9,8 @@ import pytest
 
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.evidence import draw_map
-from lidarcfg.report.html import FailCell
-from lidarcfg.report.verification import margins_table, verdict_table
+from lidarcfg.report.verdict import remarks, verdict_table
+from lidarcfg.report.verification import margins_table
 from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.object_requirement import CAP_MAX, ObjectJudge
 from lidarcfg.requirements.place_counts import reached
@@ -305,12 +305,12 @@ def test_an_evaluation_begins_with_the_verdict(files, blank_pictures):
 
 
 def test_a_verdicts_table_has_a_column_of_losses_only_if_there_are_any():
-    held = RequirementVerdict("a", "object", True, "returns", 1, 2, False, 0.0)
-    broken = replace(held, breaking=("left",))
-    assert verdict_table(Verdict((held, replace(broken, passed=False)))).head[-1] == "phases there"
-    both = verdict_table(Verdict((held, broken)))
-    assert both.head[-1] == "sensors lost there; whose loss breaks it"
-    assert [row[-1] for row in both.rows] == ["", "each alone breaks it: left"]
+    held = RequirementVerdict("a", "object", True, "returns", 1, 2, False, 0.0, breaking=("left",))
+    assert verdict_table(Verdict((held,))).columns[-1].head == "phases there"
+    both = verdict_table(Verdict((held, replace(held, passed=False, lost=("left", "right")))))
+    assert both.columns[-1].head == "sensors lost there"
+    assert [row[-1] for row in both.texts] == ["", "left, right"]
+    assert remarks(Verdict((held,))) == ["a: fails without any one of left"]
 
 
 def test_a_table_of_margins_marks_what_misses_and_what_was_counted_no_further(files):
@@ -318,6 +318,6 @@ def test_a_table_of_margins_marks_what_misses_and_what_was_counted_no_further(fi
     rig = load_rig(files / "rig.yaml")
     found = MountMargins("Returns", "returns", 10, False, 25, np.array([5.0, np.nan]), np.full((2, 6), 12.0), cap=20)
     table = margins_table(found, rig)
-    assert [[str(cell) for cell in row[1:3]] for row in table.rows] == [["5", "12"], ["–", "12"]]
-    assert [isinstance(row[1], FailCell) for row in table.rows] == [True, False]
+    assert [row[1:3] for row in table.texts] == [["5", "12"], ["–", "12"]]
+    assert [row[1].mark == "fail" for row in table.cells] == [True, False]
     assert "at least 10 demanded, ≥ 20 with all mounts in place" in table.caption

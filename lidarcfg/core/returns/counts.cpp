@@ -25,16 +25,44 @@ ReturnTracer::Bounds bounds_of(View<const std::int32_t> counts, View<const std::
 
 }  // namespace
 
+/// Have some of the next beams be the rays that are traced: of one firing, or of a band of firings. Returns how many;
+/// none: all were.
+int ReturnTracer::take(const AimedBeams& beams) {
+  int count = 0;
+  while (count < world::packet_size && next_ < std::ssize(beams.heads())) {
+    const AimedBeams::Heads& all = beams.heads()[next_];
+    if (count > 0 && !beams.scanner().are_alike(beams_[count - 1].firing, all.firing)) {
+      break;
+    }
+    const std::int32_t first = all.first + taken_;
+    const std::int32_t end = std::min(all.end, first + (world::packet_size - count));
+    beams.rays({all.firing, first, end}, origins_ + count, directions_ + count, stride);
+    for (std::int32_t head = first; head < end; ++head) {
+      beams_[count++] = {all.firing, head};
+    }
+    taken_ += end - first;
+    if (end == all.end) {
+      ++next_;
+      taken_ = 0;
+    }
+  }
+  return count;
+}
+
+void ReturnTracer::begin() {
+  waiting_ = 0;
+  next_ = 0;
+  taken_ = 0;
+}
+
 /// Call on_return with the number of each waiting hit that is a return.
 template <class OnReturn>
 void ReturnTracer::trace_all(const AimedBeams& beams, const Obstacles& obstacles, OnReturn on_return) {
-  waiting_ = 0;
-  for (const AimedBeams::Heads& heads : beams.heads()) {
-    for (std::int32_t head = heads.first; head < heads.end; head += world::packet_size) {
-      trace(beams, {heads.firing, head, std::min(heads.end, head + world::packet_size)}, obstacles);
-      if (waiting_ > capacity - world::packet_size) {
-        settle(obstacles, on_return);
-      }
+  begin();
+  while (const int count = take(beams)) {
+    trace(beams, count, obstacles);
+    if (waiting_ > capacity - world::packet_size) {
+      settle(obstacles, on_return);
     }
   }
   settle(obstacles, on_return);
@@ -60,29 +88,27 @@ ReturnTracer::Bounds ReturnTracer::count_until(const AimedBeams& beams, const Ob
   for (const AimedBeams::Heads& heads : beams.heads()) {
     add_by_phase(heads, 1, open_);
   }
-  waiting_ = 0;
-  for (const AimedBeams::Heads& heads : beams.heads()) {
-    for (std::int32_t head = heads.first; head < heads.end; head += world::packet_size) {
-      const AimedBeams::Heads some{heads.firing, head, std::min(heads.end, head + world::packet_size)};
-      trace(beams, some, obstacles);
-      settle(obstacles, [&](int n) { ++counts[phase_[n]]; });
-      add_by_phase(some, -1, open_);
-      const Bounds bounds = bounds_of(counts, open_);
-      if (bounds.least >= enough || bounds.most < wanted) {
-        return bounds;
-      }
+  begin();
+  const int phases = beams.scanner().phases();
+  while (const int count = take(beams)) {
+    trace(beams, count, obstacles);
+    settle(obstacles, [&](int n) { ++counts[phase_[n]]; });
+    for (int n = 0; n < count; ++n) {
+      --open_[beams_[n].head % phases];
+    }
+    const Bounds bounds = bounds_of(counts, open_);
+    if (bounds.least >= enough || bounds.most < wanted) {
+      return bounds;
     }
   }
   return bounds_of(counts, open_);
 }
 
-/// Have those of a firing's rays wait that hit the object within range and field of view.
-void ReturnTracer::trace(const AimedBeams& beams, const AimedBeams::Heads& heads, const Obstacles& obstacles) {
-  const int count = heads.end - heads.first;
+/// Have those of the rays wait that hit the object within range and field of view.
+void ReturnTracer::trace(const AimedBeams& beams, int count, const Obstacles& obstacles) {
   const Scanner& scanner = beams.scanner();
   const Rows<const double> origins(origins_, 3, stride);
   const Rows<const double> directions(directions_, 3, stride);
-  beams.rays(heads, origins_, directions_, stride);
   for (int done = 0; done < count;) {
     const auto [some, face] = world::alike(directions, done, count);
     packet_.load(origins, directions, done, some, face);
@@ -90,12 +116,12 @@ void ReturnTracer::trace(const AimedBeams& beams, const AimedBeams::Heads& heads
     packet_.first_hits(beams.target().bvh);
     for (int n = 0; n < some; ++n) {
       const double range = packet_.range(n);
-      const Index head = heads.first + done + n;
+      const int ray = done + n;
+      const auto [firing, head] = beams_[ray];
       if (packet_.slot(n) < 0 || !(scanner.least_m() <= range && range <= scanner.most_m()) ||
-          scanner.is_outside(heads.firing, head)) {
+          scanner.is_outside(firing, head)) {
         continue;
       }
-      const int ray = done + n;
       const Vec3 start = beams.point_in_vehicle({origins_[ray], origins_[stride + ray], origins_[2 * stride + ray]},
                                                 obstacles.origin_m);
       const Vec3 way =
@@ -104,7 +130,7 @@ void ReturnTracer::trace(const AimedBeams& beams, const AimedBeams::Heads& heads
         starts_[k * capacity + waiting_] = start[k];
         ways_[k * capacity + waiting_] = way[k] * range;
       }
-      phase_[waiting_++] = static_cast<int>(head % scanner.phases());
+      phase_[waiting_++] = head % scanner.phases();
     }
     done += some;
   }

@@ -34,13 +34,25 @@ class ReturnTracer {
  private:
   static constexpr int capacity = 2 * world::packet_size;
 
-  void trace(const AimedBeams& beams, const AimedBeams::Heads& heads, const Obstacles& obstacles);
+  struct Beam {
+    std::int32_t firing;
+    std::int32_t head;
+  };
+
+  void begin();
+  int take(const AimedBeams& beams);
+  void trace(const AimedBeams& beams, int count, const Obstacles& obstacles);
   template <class OnReturn>
   void trace_all(const AimedBeams& beams, const Obstacles& obstacles, OnReturn on_return);
   template <class OnReturn>
   void settle(const Obstacles& obstacles, OnReturn on_return);
 
+  // Of the beams, the next one.
+  Index next_ = 0;          // of which heads
+  std::int32_t taken_ = 0;  // how many of these are before it
+
   world::Packet packet_;
+  Beam beams_[world::packet_size];
   double origins_[3 * world::packet_size];  // of rays, in the object's frame
   double directions_[3 * world::packet_size];
 

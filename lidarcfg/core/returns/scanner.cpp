@@ -16,6 +16,7 @@ constexpr double ahead_m = 1e-9;   // an object's corners are all at least so fa
 constexpr double wider = 1e-9;     // of azimuths and slopes, for rounding
 constexpr double fov_rad = 1e-11;  // by which a field of view is wider, for rounding
 constexpr double steep_rad = 1.5;
+constexpr double band_rad = 0.02;  // of firings whose rays are traced together
 constexpr std::int32_t middle_heads = 64;  // of the surest firing, that come first
 constexpr double inf = std::numeric_limits<double>::infinity();
 
@@ -58,12 +59,23 @@ Scanner::Scanner(const ScannerColumns& columns)
     one.left_m = columns.start_m(f, 1);
     one.up_m = columns.start_m(f, 2);
     one.phase = stands_still() ? columns.phase[f] : 0;
+    one.band = static_cast<std::int32_t>(stands_still() ? std::floor(elevation / band_rad) : f);
     beside_m_ = std::max(beside_m_, std::sqrt(one.forward_m * one.forward_m + one.left_m * one.left_m));
     firings_.push_back(one);
   }
   if (stands_still()) {
-    std::ranges::stable_sort(firings_, {}, &Firing::lag_rad);
+    std::ranges::stable_sort(firings_, {}, [](const Firing& one) { return std::pair(one.band, one.lag_rad); });
   }
+  for (Index f = 0; f < std::ssize(firings_); ++f) {
+    if (f == 0 || !are_alike(f - 1, f)) {
+      band_starts_.push_back(f);
+    }
+  }
+  band_starts_.push_back(std::ssize(firings_));
+}
+
+View<const Scanner::Firing> Scanner::firings_of(Index band) const {
+  return firings().subspan(band_starts_[band], band_starts_[band + 1] - band_starts_[band]);
 }
 
 bool Scanner::sees_all_around() const { return fov_rad_[1] >= turn; }
@@ -81,23 +93,20 @@ bool Scanner::is_outside(Index firing, Index head) const {
 struct AimedBeams::Window {
   double first_rad;
   double last_rad;
-  double near_m;  // 0: it may be all around
+  double near_m;  // 0: it may be all around, at any azimuth
   double far_m;
   double low_m;
   double high_m;
 
   /// Whether a firing may be at the box's height at its distance.
   bool meets(const Scanner::Firing& firing) const {
-    if (near_m == 0) {
-      return true;
-    }
     const double low = low_m - firing.up_m;
     const double high = high_m - firing.up_m;
-    if (firing.steep) {  // the object stays away from the axis
+    if (firing.steep) {  // the object stays away from the axis, or is around it
       return firing.rise > 0 ? firing.rise * near_m <= high : firing.rise * near_m >= low;
     }
     const double least = low / (low < 0 ? near_m : far_m);
-    const double most = high / (high < 0 ? far_m : near_m);
+    const double most = high / (high <= 0 ? far_m : near_m);
     return least - wider * (1 + std::abs(least)) <= firing.rise && firing.rise <= most + wider * (1 + std::abs(most));
   }
 };
@@ -124,8 +133,10 @@ void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const Targe
   if (scanner.stands_still()) {
     const double begin = wrapped(seen.first_rad);
     const double end = begin + (seen.last_rad - seen.first_rad);
-    add_still(seen, begin, std::min(end, turn));
-    add_still(seen, 0, std::min(end - turn, std::nextafter(begin, -1.0)));
+    for (Index band = 0; band < scanner.bands(); ++band) {
+      add_still(seen, band, begin, std::min(end, turn));
+      add_still(seen, band, 0, std::min(end - turn, std::nextafter(begin, -1.0)));
+    }
   }
   for (Index f = 0; !scanner.stands_still() && f < std::ssize(scanner.firings()); ++f) {
     if (seen.meets(scanner.firings()[f])) {
@@ -175,23 +186,26 @@ AimedBeams::Window AimedBeams::window() const {
     v += y[corner];
   }
   const auto [low, high] = std::minmax_element(z, z + 8);
-  const Window everywhere{0.0, turn, 0.0, inf, *low, *high};
+  const double beside_m = scanner_->beside_m();
+  double far_squared = 0;
+  for (int corner = 0; corner < 8; ++corner) {
+    far_squared = std::max(far_squared, x[corner] * x[corner] + y[corner] * y[corner]);
+  }
+  const double far_m = std::sqrt(far_squared) + beside_m;
+  const Window everywhere{0.0, turn, 0.0, far_m, *low, *high};
   const double length = std::sqrt(u * u + v * v);
   if (!(length > 0)) {
     return everywhere;
   }
   u /= length;
   v /= length;
-  const double beside_m = scanner_->beside_m();
   double near = inf;
-  double far_squared = 0;
   double left = 0;  // tangents of angles from the middle of the box
   double right = 0;
   for (int corner = 0; corner < 8; ++corner) {
     const double ahead = x[corner] * u + y[corner] * v;
     const double aside = (y[corner] * u - x[corner] * v) / ahead;
     near = std::min(near, ahead);
-    far_squared = std::max(far_squared, x[corner] * x[corner] + y[corner] * y[corner]);
     left = std::max(left, aside);
     right = std::min(right, aside);
   }
@@ -203,7 +217,7 @@ AimedBeams::Window AimedBeams::window() const {
   return {centre - lidarcfg::atan(left) - more,
           centre - lidarcfg::atan(right) + more,
           near - beside_m,
-          std::sqrt(far_squared) + beside_m,
+          far_m,
           *low,
           *high};
 }
@@ -232,13 +246,14 @@ void AimedBeams::add(const Window& window, Index firing) {
   }
 }
 
-/// Add those firings of heads that stand still that point at a window and lag from one angle to another.
-void AimedBeams::add_still(const Window& window, double begin_rad, double end_rad) {
-  const View<const Scanner::Firing> all = scanner_->firings();
+/// Add those firings of a band, of heads that stand still, that point at a window and lag from one angle to another.
+void AimedBeams::add_still(const Window& window, Index band, double begin_rad, double end_rad) {
+  const View<const Scanner::Firing> all = scanner_->firings_of(band);
+  const auto first = static_cast<std::int32_t>(all.data() - scanner_->firings().data());
   auto at = std::ranges::lower_bound(all, begin_rad, {}, &Scanner::Firing::lag_rad);
   for (; at != all.end() && at->lag_rad <= end_rad; ++at) {
     if (window.meets(*at)) {
-      heads_.push_back({static_cast<std::int32_t>(at - all.begin()), at->phase, at->phase + 1});
+      heads_.push_back({first + static_cast<std::int32_t>(at - all.begin()), at->phase, at->phase + 1});
     }
   }
 }

@@ -49,9 +49,17 @@ class Scanner {
     double forward_m, left_m, up_m;
     bool steep;  // nearly along the axis
     std::int32_t phase;
+    std::int32_t band;  // of heads that stand still: firings of about one elevation; else each is its own
   };
 
-  View<const Firing> firings() const { return firings_; }  // by ascending lag, from 0 to a turn, of heads that stand
+  /// Of heads that stand still, band by band, and in each by ascending lag, from 0 to a turn.
+  View<const Firing> firings() const { return firings_; }
+  View<const Firing> firings_of(Index band) const;
+  Index bands() const { return std::ssize(band_starts_) - 1; }
+
+  /// Whether rays of two firings may go through a hierarchy together.
+  bool are_alike(Index firing, Index other) const { return firings_[firing].band == firings_[other].band; }
+
   Index heads() const { return std::ssize(heads_->cos); }
   const double* cos_head() const { return heads_->cos.data(); }
   const double* sin_head() const { return heads_->sin.data(); }
@@ -77,6 +85,7 @@ class Scanner {
 
   std::shared_ptr<const HeadAngles> heads_;
   std::vector<Firing> firings_;
+  std::vector<Index> band_starts_;  // (bands + 1,) firings
   double start_rad_;
   double step_rad_;
   int phases_;
@@ -137,7 +146,7 @@ class AimedBeams {
 
   Window window() const;
   void add(const Window& window, Index firing);
-  void add_still(const Window& window, double begin_rad, double end_rad);
+  void add_still(const Window& window, Index band, double begin_rad, double end_rad);
   void put_middle_first(const Window& seen);
   void add_heads(Index firing, double begin_rad, double end_rad);
 
