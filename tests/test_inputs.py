@@ -123,7 +123,7 @@ def test_what_memory_does_not_hold_is_refused_with_what_it_needs(tmp_path, monke
             r"of 5000 x 5000 pixels needs 0\.6 GB of memory; 0\.0 GB are free",
         ),
         ("evaluate study.yaml rig.yaml", r"comparing 1,536 cuboids with 16 beams on 1 threads needs .* fewer beams"),
-        ("evaluate study.yaml rig.yaml --tolerance 0.1", r"tolerance, of 256 cuboids, needs 0\.0 GB .* no tolerance"),
+        ("evaluate study.yaml rig.yaml --tolerance 0.1", r"tolerance, of 2,048 cuboids, needs 0\.0 GB .* no tolerance"),
         ("optimize study.yaml -o o", r"comparing 1,536 cuboids with 16 beams on \d+ threads needs .* fewer beams"),
     ],
 )

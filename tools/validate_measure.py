@@ -27,7 +27,6 @@ from lidarcfg import core
 from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.geometry import Array, rotation
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement.analytic import level
 from lidarcfg.placement.blind_spots import AZIMUTHS, fraction_below
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, detection_by_distance, from_point
@@ -54,7 +53,6 @@ SPREAD = 0.01  # of undetected places between rigs; below it there is nothing to
 PAGE = ROOT / "docs/evidence/validation.md"
 MEASURES = {  # as result.json would call them; all the better, the smaller
     "max_vsr": "max VSR (the paper's)",
-    "analytic": "analytic max VSR",
     "max_vsr_body": "max VSR with the body",
     "paper": "1 − the paper's detection",
     "blind": "blind volume",
@@ -132,7 +130,6 @@ def measured(study: Study, rig: Rig, sizes: dict[str, Array]) -> dict[str, Array
     paper = segment(region, lidars)
     found = {
         "max_vsr": np.float64(vsr_m(paper).max()),
-        "analytic": np.float64(level(region, lidars).max_vsr_m),
         "paper": np.array([paper_undetected(study, paper, name, size) for name, size in sizes.items()]),
     }
     if study.visibility:

@@ -45,8 +45,8 @@ def evaluate(
 ) -> None:
     """Evaluate a rig: misses, max VSR, worst subspaces.
 
-    The study's bounds on the poses are not enforced. The cuboids' faces overestimate the surface of a subspace;
-    --tolerance refines them until the max VSR of the smooth subspaces is known to this relative error.
+    The study's bounds on the poses are not enforced. Max VSR depends on the size of the cuboids:
+    --tolerance halves their edges until what it would be for ever smaller ones is known to this relative error.
     """
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")

@@ -125,7 +125,7 @@ tolerance_option = cloup.option(
     "--tolerance",
     type=PositiveNumber(1),
     metavar="FRACTION",
-    help="Also compute the analytic max VSR to this relative error.",
+    help="Also extrapolate max VSR to ever smaller cuboids, to this relative error.",
 )
 quiet_option = cloup.option("--quiet", is_flag=True, help="Print only errors.")
 

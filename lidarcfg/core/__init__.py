@@ -24,7 +24,6 @@ def _load() -> ModuleType:
 
 
 compiled = _load()
-analytic = compiled.analytic
 maths = compiled.maths
 ouster = compiled.ouster
 packets = compiled.packets

@@ -1,6 +1,5 @@
 from types import ModuleType
 
-from lidarcfg.core import analytic as analytic
 from lidarcfg.core import maths as maths
 from lidarcfg.core import ouster as ouster
 from lidarcfg.core import packets as packets

@@ -11,6 +11,8 @@ Words = NDArray[np.uint64]
 Counts = NDArray[np.int64]
 Labels = NDArray[np.int32]
 Flags = NDArray[np.bool_]
+Vector = Array | Sequence[float]
+Node = Counts | Sequence[int]
 
 class Placed(Protocol):
     """LiDARs at poses."""
@@ -135,3 +137,28 @@ def promote_certificates(certificates: Counts, source: Counts, refuted_by: Count
 
     Where refuted_by is −1, no certificate has, and source does not matter.
     """
+
+def detected_positions(
+    labels: Labels, size: tuple[int, int, int], threshold: int, layers: int, misses: int, held: Flags
+) -> tuple[Counts, Counts]:
+    """At how many places (mx, my) a box of cuboids touches more than `threshold` subspaces; how many places there are.
+
+    labels (nx, ny, nz), −1 where excluded; the box's lowest layer is one of the first `layers`. Ends after so many
+    misses. held (n,) is set for subspaces that a box lies in, if it is not empty.
+    """
+
+def detected_boxes(
+    labels: Labels, low: Vector, edge: Vector, boxes: Array, size: Vector, threshold: int
+) -> tuple[int, int]:
+    """How many boxes (n, 4: centre x, y, bottom, heading) touch more than `threshold` subspaces; how many are free."""
+
+def find_ends(label: Labels) -> Words:
+    """(nx, ny, words) a bit for each cuboid, in columns along z: set where the next one is in another subspace."""
+
+def largest_sphere(
+    label: Labels, ends: Words, half: Vector, number: int, low: Node, high: Node
+) -> tuple[float, tuple[int, int, int]]:
+    """The square of the radius, and the centre, of the largest sphere in a subspace (−1: in any) from low to high."""
+
+def clearance(label: Labels, half: Vector, node: Node) -> float:
+    """The squared distance of a node from the nearest face; 0 on one."""

@@ -11,11 +11,11 @@ from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
-from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
 from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Counted, Detection, counted_places, detection
 from lidarcfg.placement.evaluator import Evaluator
+from lidarcfg.placement.extrapolation import Extrapolated, extrapolate
 from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.objective import Criterion, Trial, without_cones
 from lidarcfg.placement.return_counts import ReturnCounts, return_counts
@@ -148,7 +148,7 @@ class Evaluation:
     return_counts: dict[str, ReturnCounts]  # by object that is detected by returns
     blind: BlindSpots
     zones: tuple[ZoneVsr, ...]  # of studies that have some
-    analytic: Analytic | None  # if a tolerance was asked for
+    extrapolated: Extrapolated | None  # if a tolerance was asked for
     seconds: float
     robustness: Robustness | None = None  # where it was asked for, and is cheap
     posts: tuple[PostVisibility, ...] = ()  # where posts of HEIGHTS_M are seen, where that was asked for and is known
@@ -172,10 +172,11 @@ def evaluate(
 ) -> Evaluation:
     """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
 
-    Study and rig are files, dicts with their keys, or loaded. With a relative tolerance also the analytic max VSR, to
-    that tolerance. `on_progress` is told the fraction done of the objects that are detected by returns, which take
-    longest. `verdict` is that on the rig, where it is known already. Raises ConfigError where the tolerance is not
-    above 0, or where the region has too many cuboids to refine; and where a sensor is inside the study's vehicle.
+    Study and rig are files, dicts with their keys, or loaded. With a relative tolerance also max VSR extrapolated to
+    ever smaller cuboids, to that tolerance. `on_progress` is told the fraction done of the objects that are detected by
+    returns, which take longest. `verdict` is that on the rig, where it is known already. Raises ConfigError where the
+    tolerance is not above 0, or where the region has too many cuboids to refine; and where a sensor is inside the
+    study's vehicle.
     """
     study = loaded(study, load_study, Study)
     rig = loaded(rig, load_rig, Rig)
@@ -187,8 +188,9 @@ def evaluate(
         raise ConfigError(f"study {study.name!r}: {key_text(fault[0])}{fault[1]}")
     if tolerance is not None and any(sensor.scan_pattern for sensor in sensors):
         raise ConfigError("a tolerance is that of cones of beams; sensors with a scan pattern have none")
-    converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
-    subspaces = segment(study.region, rig_lidars(rig), study.visibility)
+    lidars = rig_lidars(rig)
+    extrapolated = None if tolerance is None else extrapolate(study.region, lidars, tolerance, study.visibility)
+    subspaces = segment(study.region, lidars, study.visibility)
     vsr = vsr_m(subspaces)
     spheres = Spheres(subspaces)
     numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
@@ -199,7 +201,7 @@ def evaluate(
         item.name: counted_places(subspaces, item) for item in study.detection if not (item.samples or item.returns)
     }
     rates = _rates(study, subspaces, seen, counted)
-    blind = blind_spots(study, subspaces, rig_lidars(rig))
+    blind = blind_spots(study, subspaces, lidars)
     zones = max_vsr_by_zone(study.zones, subspaces)
     misses = misses_of(study, rig)
     verifier = None
@@ -218,7 +220,7 @@ def evaluate(
         return_counts=seen,
         blind=blind,
         zones=zones,
-        analytic=converged,
+        extrapolated=extrapolated,
         seconds=seconds,
         misses=misses,
         verdict=verdict,

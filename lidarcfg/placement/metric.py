@@ -74,7 +74,7 @@ class Spheres:
     def __init__(self, subspaces: Subspaces) -> None:
         self._region = subspaces.region
         self._label = subspaces.label
-        self._ends = core.analytic.find_ends(subspaces.label)
+        self._ends = core.placement.find_ends(subspaces.label)
 
     def largest(self) -> tuple[float, Node]:
         """Radius in metres and centre of the largest sphere in any subspace; of equal ones, the lattice's first."""
@@ -87,12 +87,12 @@ class Spheres:
         return math.sqrt(square)
 
     def _search(self, number: int, low: Node | Counts, high: Node | Counts) -> tuple[float, Node]:
-        return core.analytic.largest_sphere(self._label, self._ends, self._region.cuboid_m / 2, number, low, high)
+        return core.placement.largest_sphere(self._label, self._ends, self._region.cuboid_m / 2, number, low, high)
 
 
 def clearance_m(subspaces: Subspaces, centre: Node) -> float:
     """The radius of the largest sphere around a node of the half cuboids' lattice that no face cuts; 0 on a face."""
-    return math.sqrt(core.analytic.clearance(subspaces.label, subspaces.region.cuboid_m / 2, centre))
+    return math.sqrt(core.placement.clearance(subspaces.label, subspaces.region.cuboid_m / 2, centre))
 
 
 @dataclass(frozen=True)

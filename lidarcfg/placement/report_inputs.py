@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from lidarcfg import core, maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.analytic import analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, GapFit, Rings, detection_by_distance, gap_fit
 from lidarcfg.placement.evaluation import Evaluation, robustness
+from lidarcfg.placement.extrapolation import extrapolate
 from lidarcfg.placement.metric import max_vsr, volume_m3
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
@@ -82,8 +82,8 @@ def coverage(subspaces: Subspaces) -> Coverage:
     )
 
 
-CHEAP_CUBOIDS = 100_000  # up to this size another evaluation takes a fraction of a second
-ONE_HALVING = 1.0  # a tolerance that the first halving of the cuboids always reaches
+CHEAP_CUBOIDS = 100_000  # up to this size some more evaluations take a fraction of a second
+LOOSE = 1.0  # a tolerance that two halvings of the cuboids reach
 RINGS_MAX = 12
 RING_M = (1, 2, 5)  # times a power of ten
 
@@ -139,8 +139,8 @@ def report_inputs(
     The effects of failures and mounting errors are omitted for large regions: see `robustness`.
     """
     cheap = study.region.included.size <= cheap_cuboids
-    if found.analytic is None and cheap and not any(mount.sensor.scan_pattern for mount in rig.mounts):
-        found = replace(found, analytic=analytic(study.region, rig_lidars(rig), ONE_HALVING, study.visibility))
+    if found.extrapolated is None and cheap and not any(mount.sensor.scan_pattern for mount in rig.mounts):
+        found = replace(found, extrapolated=extrapolate(study.region, rig_lidars(rig), LOOSE, study.visibility))
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
     found = replace(found, robustness=robustness(study, rig))

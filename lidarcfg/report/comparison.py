@@ -110,7 +110,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
         row("beams", ",", lambda rig: beams(rig.rig)),
         row("max VSR (m)", ".6f", lambda rig: rig.found.max_vsr_m, -1),
     ]
-    if bars := _analytic_row(rigs):
+    if bars := _extrapolated_row(rigs):
         out.append(bars)
     for i, zone in enumerate(rigs[0].found.zones):
         out.append(row(f"max VSR in {truncate(zone.name, DRAWN)} (m)", ".6f", partial(_zone, i), -1))
@@ -225,16 +225,16 @@ def _rate(name: str, rig: Contender) -> float:
     return rig.found.detection[name].rate
 
 
-def _analytic_row(rigs: Sequence[Contender]) -> ComparisonRow | None:
+def _extrapolated_row(rigs: Sequence[Contender]) -> ComparisonRow | None:
     """Every rig whose error bar reaches the best rig's is marked."""
-    bars = [rig.found.analytic for rig in rigs if rig.found.analytic]
+    bars = [rig.found.extrapolated for rig in rigs if rig.found.extrapolated]
     if len(bars) < len(rigs):
         return None
     values = [bar.max_vsr_m for bar in bars]
     reach = min(bar.max_vsr_m + bar.error_m for bar in bars)
     marked = [bar.max_vsr_m == min(values) or bar.max_vsr_m - bar.error_m <= reach for bar in bars]
     texts = [f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}" for bar in bars]
-    return ComparisonRow("analytic max VSR (m)", texts, [mark and not all(marked) for mark in marked])
+    return ComparisonRow("max VSR, extrapolated (m)", texts, [mark and not all(marked) for mark in marked])
 
 
 def comparison_dict(study: Study, rigs: Sequence[Contender]) -> dict[str, Any]:
@@ -335,7 +335,7 @@ def _table(lines: Sequence[ComparisonRow], rigs: Sequence[Contender], first: int
         pairs = zip(row.values[part], row.best[part], strict=True)
         body.append([row.what, *(BestCell(text) if best else text for text, best in pairs)])
     caption = (
-        "The best of each row is marked, unless all are alike. Analytic values are marked if their error bar reaches "
-        "the best one's."
+        "The best of each row is marked, unless all are alike. Extrapolated values are marked if their error bar "
+        "reaches the best one's."
     )
     return Table(caption, ("", *(rig.title for rig in rigs[part])), body)

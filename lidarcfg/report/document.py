@@ -8,9 +8,9 @@ import numpy as np
 
 from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
-from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation, Worst
+from lidarcfg.placement.extrapolation import Extrapolated
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.search_run import Believed, Placement, at_bounds
 from lidarcfg.placement.study import Study
@@ -145,7 +145,7 @@ def report(
         hides=describe_hiding(details.gap_fits, describe_origin(study)),
         origin=describe_origin(study),
         has_body=study.vehicle is not None,
-        analytic=_analytic(found, found.analytic, baseline) if found.analytic else None,
+        extrapolated=_extrapolated(found, found.extrapolated, baseline) if found.extrapolated else None,
         by_returns=any(item.returns for item in study.detection),
         exact_rates=any(not item.samples for item in study.detection),
         drawn_rates=any(item.samples for item in study.detection),
@@ -280,13 +280,13 @@ def _max_vsr_figures(rig: Rig, details: ReportInputs) -> list[KeyFigure]:
         more = found.max_vsr_m / midpoint - 1
         than = f"this rig's max VSR is {abs(more):.0%} {'larger' if more > 0 else 'smaller'}"
         figures.append(KeyFigure("Max VSR at the midpoint of the bounds", f"{midpoint:.6f} m", than))
-    if bar := found.analytic:
+    if bar := found.extrapolated:
         value = f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m"
         figures.append(
-            KeyFigure("Analytic max VSR", value, f"± {bar.error_m / bar.max_vsr_m:.1%}, of the cones themselves")
+            KeyFigure("Max VSR, extrapolated", value, f"± {bar.error_m / bar.max_vsr_m:.1%}, for ever smaller cuboids")
         )
     elif not alone:
-        figures.append(KeyFigure("Analytic max VSR", "not computed", "evaluate --tolerance computes it"))
+        figures.append(KeyFigure("Max VSR, extrapolated", "not computed", "evaluate --tolerance computes it"))
     figures.append(
         KeyFigure("Largest sphere in the worst subspace", f"{2 * worst.inscribed_radius_m:.2f} m across", at)
     )
@@ -439,21 +439,21 @@ def _coverage(details: ReportInputs, rig: Rig) -> dict[str, str | None]:
     }
 
 
-def _analytic(found: Evaluation, bar: Analytic, baseline: Baseline | None) -> dict[str, Any]:
-    less = 1 - found.max_vsr_m / bar.max_vsr_m
+def _extrapolated(found: Evaluation, bar: Extrapolated, baseline: Baseline | None) -> dict[str, Any]:
+    more = found.max_vsr_m / bar.max_vsr_m - 1
     edges = " × ".join(f"{edge:g}" for edge in bar.cuboid_m)
     reached = f"within the tolerance of {bar.tolerance:.3g}" if bar.reached else "not the tolerance asked for"
     if bar.tolerance >= 1:
-        reached = "at the first halving of the cuboids; evaluate --tolerance makes it smaller"
+        reached = "after two halvings of the edges; evaluate --tolerance makes it smaller"
     rows = [
-        ("max VSR by the cuboids' faces, as in the paper", f"{found.max_vsr_m:.6f} m"),
-        ("analytic max VSR, of the cones themselves", f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f} m"),
+        ("max VSR on the study's cuboids", f"{found.max_vsr_m:.6f} m"),
+        ("max VSR, extrapolated to ever smaller cuboids", f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f} m"),
         ("error bar", f"{bar.error_m / bar.max_vsr_m:.2%}, {reached}"),
         ("finest cuboids", f"{bar.cuboids:,} of {edges} m"),
     ]
-    if baseline and (other := baseline.details.evaluation.analytic):
-        rows.append(("analytic max VSR of the baseline", f"{other.max_vsr_m:.6f} ± {other.error_m:.6f} m"))
-    return {"rows": rows, "difference": f"{abs(less):.1%} {'lower' if less >= 0 else 'higher'}"}
+    if baseline and (other := baseline.details.evaluation.extrapolated):
+        rows.append(("extrapolated max VSR of the baseline", f"{other.max_vsr_m:.6f} ± {other.error_m:.6f} m"))
+    return {"rows": rows, "difference": f"{abs(more):.1%} {'higher' if more >= 0 else 'lower'}"}
 
 
 def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) -> FactRows:

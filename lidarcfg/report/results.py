@@ -38,9 +38,8 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
     """The values that `evaluate --json` prints and every result.json contains."""
     return {
         **({"verdict": found.verdict.to_dict()} if found.verdict else {}),
-        "measure": "faces",
         "max_vsr_m": found.max_vsr_m,
-        "analytic": found.analytic and asdict(found.analytic) | {"reached": found.analytic.reached},
+        "extrapolated": found.extrapolated and asdict(found.extrapolated) | {"reached": found.extrapolated.reached},
         "subspaces": len(found.subspaces),
         "evaluations": 1,
         "seconds": found.seconds,

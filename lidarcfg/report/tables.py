@@ -8,9 +8,9 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Column, Table
 
-from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
+from lidarcfg.placement.extrapolation import Extrapolated
 from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND
@@ -143,8 +143,8 @@ def _print_rest(study: Study, rig: Rig, found: Evaluation) -> None:
 def _print_max_vsr(console: Console, rig: Rig, found: Evaluation) -> None:
     alone = beams_alone(rig)
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces{', ' * bool(alone)}{alone}")
-    if found.analytic:
-        console.print(analytic_line(found.analytic))
+    if found.extrapolated:
+        console.print(extrapolated_line(found.extrapolated))
     for zone in found.zones:
         weighted = f"; {zone.weight * zone.max_vsr_m:.6f} m with its weight of {zone.weight:g}"
         console.print(f"max VSR in {truncate(zone.name)}: {zone.max_vsr_m:.6f} m{weighted}")
@@ -211,15 +211,15 @@ def blind_lines(blind: BlindSpots) -> list[str]:
     return lines
 
 
-def analytic_line(found: Analytic) -> str:
-    """The analytic max VSR, its error bar, and whether that is the tolerance asked for."""
+def extrapolated_line(found: Extrapolated) -> str:
+    """The max VSR for ever smaller cuboids, its error bar, and whether that is the tolerance asked for."""
     edges = " × ".join(f"{edge:g}" for edge in found.cuboid_m)
-    reached = f"within the tolerance of {found.tolerance:.3g}" if found.tolerance < 1 else "by one halving"
+    reached = f"within the tolerance of {found.tolerance:.3g}" if found.tolerance < 1 else "by two halvings"
     if not found.reached:
         error = found.error_m / found.max_vsr_m
         reached = f"NOT within the tolerance of {found.tolerance:.3g}, but of {error:.2g}: no finer grid is tried"
     return (
-        f"analytic max VSR {found.max_vsr_m:.6f} ± {found.error_m:.6f} m, {reached} "
+        f"extrapolated to ever smaller cuboids {found.max_vsr_m:.6f} ± {found.error_m:.6f} m, {reached} "
         f"({found.cuboids:,} cuboids of {edges} m, {found.seconds:.2f} s)"
     )
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.core import analytic as core
+from lidarcfg.core import placement as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.detection import DetectionObject, detection

@@ -22,7 +22,6 @@ from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import view
 from lidarcfg.geometry import pose
 from lidarcfg.io.firings import save_capture, save_firings
-from lidarcfg.placement.analytic import integrate
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.front import front
@@ -59,7 +58,6 @@ __all__ = [
     "export",
     "fill",
     "front",
-    "integrate",
     "load_cloud",
     "load_path",
     "load_rig",

@@ -73,7 +73,7 @@ def test_beside_a_search_and_an_evaluation(folder):
     again = lidarcfg("evaluate", "s.yaml", "out/rig.yaml", "--baseline", "hand.yaml", "--json", cwd=folder)
     values = json.loads(again.stdout)
     assert (values["max_vsr_m"], values["baseline"]["max_vsr_m"]) == (result["max_vsr_m"], base["max_vsr_m"])
-    assert values["baseline"]["analytic"] is not None
+    assert values["baseline"]["extrapolated"] is not None
 
 
 @pytest.mark.parametrize(

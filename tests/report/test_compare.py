@@ -8,8 +8,8 @@ import pytest
 
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
-from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.extrapolation import Extrapolated
 from lidarcfg.placement.metric import Spheres
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import load_study
@@ -64,12 +64,12 @@ def test_each_column_is_what_evaluate_says(folder):
     assert [rig.title for rig in rigs] == ["A few", "B many", "C few"]
     for column, name in enumerate(("few", "many", "few")):
         found = evaluate(study, load_rig(folder / f"{name}.yaml"), 0.2)
-        bar = found.analytic
+        bar = found.extrapolated
         expected = {
             "sensors": f"{2 if name == 'many' else 1}",
             "beams": f"{19 if name == 'many' else 3}",
             "max VSR (m)": f"{found.max_vsr_m:.6f}",
-            "analytic max VSR (m)": f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}",
+            "max VSR, extrapolated (m)": f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f}",
             "subspaces": f"{len(found.subspaces):,}",
             "volume of the worst (m³)": f"{found.worst[0].volume_m3:.2f}",
             "inner radius of the worst (m)": f"{found.worst[0].inscribed_radius_m:.3f}",
@@ -94,15 +94,15 @@ def test_error_bars_that_reach_the_best_are_marked_as_well(folder):
 
     def marked(*bars):
         named = [
-            (rig.file, rig.rig, replace(rig.details, evaluation=replace(rig.found, analytic=bar)))
+            (rig.file, rig.rig, replace(rig.details, evaluation=replace(rig.found, extrapolated=bar)))
             for rig, bar in zip(
                 [*rigs, rigs[0]],
-                [Analytic(value, error, 1.0, [1.0, 1.0, 1.0], 1, 0.0) for value, error in bars],
+                [Extrapolated(value, error, 1.0, [1.0, 1.0, 1.0], 1, 0.0) for value, error in bars],
                 strict=True,
             )
         ]
         table = rows(study, contenders(named))
-        return next(row.best for row in table if row.what.startswith("analytic"))
+        return next(row.best for row in table if row.what == "max VSR, extrapolated (m)")
 
     assert marked((1.0, 0.1), (1.15, 0.1), (1.3, 0.1)) == [True, True, False]
     assert marked((1.0, 0.01), (1.15, 0.01), (0.9, 0.01)) == [False, False, True]
@@ -117,7 +117,7 @@ def test_the_command_prints_a_table_and_writes_a_page(folder):
     assert [rig["letter"] for rig in result["rigs"]] == ["A", "B", "C"]
     assert [rig["file"] for rig in result["rigs"]] == ["few.yaml", "many.yaml", "many.yaml"]
     assert result["best"]["max VSR (m)"] == ["B", "C"]
-    assert result["rigs"][0]["analytic"] is None
+    assert result["rigs"][0]["extrapolated"] is None
     for rig in result["rigs"]:
         assert f"{rig['max_vsr_m']:.6f}" in done.stdout
         assert f"{rig['letter']} {rig['name']} {rig['max_vsr_m']:.6f} m" in page.words

@@ -168,7 +168,7 @@ def test_the_page_says_what_result_json_says(runs):
     page = read((runs[0] / "report.html").read_text())
     result = json.loads((runs[0] / "result.json").read_text())
     assert [link for link in page.links if link[1:] in SECTIONS] == [f"#{key}" for key in SECTIONS]
-    bar = result["analytic"]
+    bar = result["extrapolated"]
     said = [
         f"{result['max_vsr_m']:.6f} m",
         f"{result['midpoint_max_vsr_m']:.6f} m",
@@ -244,12 +244,12 @@ def test_an_evaluation_without_objects(tmp_path):
     shown = report_inputs(bare, rig, evaluate(bare, rig))
     save_evaluation(bare, rig, shown, tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
-    bar = shown.evaluation.analytic
+    bar = shown.evaluation.extrapolated
     assert "names no objects" in page.words
     assert "No search was run" in page.words
     assert "Nothing: the rig was evaluated once, in full." in page.words
     assert "written from Python" in page.words
-    assert bar.cuboid_m == [0.5, 0.25, 0.125]
+    assert bar.cuboid_m == [0.25, 0.125, 0.0625]
     assert f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m" in page.words
 
 
@@ -259,9 +259,9 @@ def test_no_error_bar_where_it_would_cost_too_much(tmp_path, blank_pictures):
     shown = report_inputs(bare, rig, evaluate(bare, rig), cheap_cuboids=100)
     save_evaluation(bare, rig, shown, tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
-    assert shown.evaluation.analytic is None
+    assert shown.evaluation.extrapolated is None
     assert "not computed" in page.words
-    assert "its error bar were not computed" in page.words
+    assert "was not extrapolated" in page.words
     assert "midpoint of the study's bounds" not in page.words
 
 

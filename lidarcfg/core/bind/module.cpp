@@ -33,6 +33,5 @@ NB_MODULE(LIDARCFG_MODULE, module) {
   add("ouster", &bind_ouster);
   add("placement", &bind_placement);
   add("visibility", &bind_visibility);
-  add("analytic", &bind_analytic);
   add("returns", &bind_returns);
 }

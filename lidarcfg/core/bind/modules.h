@@ -13,7 +13,7 @@ void bind_packets(nanobind::module_& module);
 void bind_ouster(nanobind::module_& module);
 void bind_placement(nanobind::module_& module);
 void bind_visibility(nanobind::module_& module);
-void bind_analytic(nanobind::module_& module);
+void bind_detection(nanobind::module_& module);
 void bind_returns(nanobind::module_& module);
 
 }  // namespace lidarcfg::bind

@@ -260,6 +260,7 @@ void bind_placement(nb::module_& module) {
         promote_certificates(certificates, source, refuted_by);
       },
       "Move what refuted trials to the front of their sources' certificates.", "certificates", "source", "refuted_by");
+  bind_detection(module);
 }
 
 }  // namespace lidarcfg::bind
