@@ -16,9 +16,10 @@ from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Counted, Detection, counted_places, detection
 from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.extrapolation import Extrapolated, extrapolate
-from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.metric import Extent, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.objective import Criterion, Trial, without_cones
 from lidarcfg.placement.return_counts import ReturnCounts, return_counts
+from lidarcfg.placement.spheres import largest_spheres
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
 from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
@@ -192,10 +193,10 @@ def evaluate(
     extrapolated = None if tolerance is None else extrapolate(study.region, lidars, tolerance, study.visibility)
     subspaces = segment(study.region, lidars, study.visibility)
     vsr = vsr_m(subspaces)
-    spheres = Spheres(subspaces)
+    radius = largest_spheres(subspaces).radius_m
     numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
     where = extents(subspaces, numbers)
-    worst = _worst(rig, subspaces, vsr, spheres, dict(zip(numbers, where, strict=True)))
+    worst = _worst(rig, subspaces, vsr, radius, dict(zip(numbers, where, strict=True)))
     seen = _return_counts(study, rig, on_progress)
     counted = {
         item.name: counted_places(subspaces, item) for item in study.detection if not (item.samples or item.returns)
@@ -214,7 +215,7 @@ def evaluate(
         vsr_m=vsr,
         worst=worst,
         extents=tuple(where),
-        sphere_m=spheres.largest()[0],
+        sphere_m=float(radius.max()),
         detection=rates,
         counted=counted,
         return_counts=seen,
@@ -238,7 +239,7 @@ def misses_of(study: Study, rig: Rig) -> MissesFound | None:
         return None
 
 
-def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, spheres: Spheres, where: dict[int, Extent]) -> tuple[Worst, ...]:
+def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, radius: Array, where: dict[int, Extent]) -> tuple[Worst, ...]:
     """The subspaces with these numbers."""
     volume = volume_m3(subspaces)
     surface = surface_m2(subspaces)
@@ -251,7 +252,7 @@ def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, spheres: Spheres, where: 
                 vsr_m=float(vsr[number]),
                 volume_m3=float(volume[number]),
                 surface_m2=float(surface[number]),
-                inscribed_radius_m=spheres.radius_m(number, extent),
+                inscribed_radius_m=float(radius[number]),
                 centroid_m=extent.centroid_m.tolist(),
                 min_m=low.tolist(),
                 max_m=high.tolist(),

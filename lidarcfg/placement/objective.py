@@ -22,9 +22,9 @@ from lidarcfg.placement.blind_spots import Directions, fraction_below, largest_m
 from lidarcfg.placement.cones import Lidar, placed
 from lidarcfg.placement.cones import poses as poses_of
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
-from lidarcfg.placement.metric import Node, Spheres, clearance_m
 from lidarcfg.placement.region import Region, cuboids_needed
 from lidarcfg.placement.return_counts import DetectionTarget, MissCounter
+from lidarcfg.placement.spheres import Node, clearance_m, largest_spheres
 from lidarcfg.placement.subspace import Links, Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Weights, weighted_vsr_m
@@ -313,9 +313,9 @@ class InscribedRadius:
                 if (radius := clearance_m(trial.subspaces, centre)) >= limit:
                     self._centres.add(centre)
                     return radius
-        radius, centre = Spheres(trial.subspaces).largest()
-        self._centres.add(centre)
-        return radius
+        found = largest_spheres(trial.subspaces)
+        self._centres.add(found.centre)
+        return float(found.radius_m.max())
 
     def learn(self) -> None:
         """Sort the findings of the batch in."""
