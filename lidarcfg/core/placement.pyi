@@ -92,14 +92,6 @@ class Grid:
     def shape(self) -> tuple[int, int, int]:
         """The cuboids along each axis."""
 
-class WorstSubspaces:
-    """Evaluates rigs in full. Not for several threads at once."""
-
-    def __init__(self, grid: Grid) -> None:
-        """For rigs in a grid."""
-    def max_vsr(self, cones: Array, sight: Sight) -> float:
-        """The largest volume to surface in metres, of cones (lidars, 6 + beams); −1 where no cuboid counts."""
-
 class TrialEvaluator:
     """Evaluates trials. Not for several threads at once."""
 

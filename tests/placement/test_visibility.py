@@ -11,7 +11,7 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.metric import max_vsr, vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import BLIND, seen_cuboids, segment
+from lidarcfg.placement.subspace import BLIND, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world import solids
 from lidarcfg.world.meshes import box_mesh, lathe
@@ -22,7 +22,7 @@ from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
 from tests.refusals import exchanged, refused
 from tests.studies import study_of
-from tests.visibility_cases import GOBLET
+from tests.visibility_cases import GOBLET, seen_cuboids
 
 STUDY = """
 region: {min_m: [0, 0, 0], max_m: [10, 4, 2], cuboid_m: [0.5, 0.5, 0.5]}
