@@ -10,15 +10,14 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
-from typing import Annotated, Generic, Protocol, TypeVar, runtime_checkable
+from typing import ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from lidarcfg.config.models import COORDINATE_MAX_M, Model, Weight
+from lidarcfg.config.models import Model, Weight
 from lidarcfg.geometry import Array, rotations
-from lidarcfg.placement.blind_spots import Directions, fraction_below, largest_m, looked_at, seen_by_any
 from lidarcfg.placement.cones import Lidar, placed
 from lidarcfg.placement.cones import poses as poses_of
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
@@ -26,7 +25,7 @@ from lidarcfg.placement.region import Region, cuboids_needed
 from lidarcfg.placement.return_counts import DetectionTarget, MissCounter
 from lidarcfg.placement.spheres import Node, clearance_m, largest_spheres
 from lidarcfg.placement.subspace import Links, Subspaces, segment
-from lidarcfg.placement.visibility import Visibility
+from lidarcfg.placement.visibility import Visibility, fraction_below
 from lidarcfg.placement.zones import Weights, weighted_vsr_m
 from lidarcfg.returns.known import KnownReturns, RigAt
 from lidarcfg.returns.misses import Misses, MissesFile
@@ -35,7 +34,7 @@ from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.tracer import NO_OBSTACLES
 
-SIGHT = ("blind_volume", "seen_by_two", "blind_spot_m")  # terms that tell rigs apart only where something limits sight
+SIGHT = ("blind_volume", "seen_by_two")  # terms that tell rigs apart only where something limits sight
 
 
 RECENT = 32  # how many of the findings that settled past trials are tried first in new ones
@@ -45,26 +44,19 @@ Flags = NDArray[np.bool_]
 T = TypeVar("T", bound=Node | int)
 
 
-class BlindSpotObjective(Model):
-    """How much the largest distance of the blind-spot contour weighs, in metres, and at what height."""
-
-    height_m: Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)] = 0.5  # above the region's floor
-    weight: Weight = 1.0
-
-
 class Objective(Model):
     """What is minimised: the weighted mean of these.
 
     By default misses alone, or where there is no vehicle the paper's max VSR.
     """
 
+    removed: ClassVar[dict[str, str]] = {"blind_spot_m": "ask for posts or a shadow under `requirements` instead"}
     misses: MissesFile | None = None  # the share of places where objects get too few returns
     max_vsr: Weight | None = None  # metres
     inscribed_radius: Weight | None = None  # metres: the largest sphere that no beam touches
     detection: dict[str, Weight] = Field(default_factory=dict)  # by object: 1 − its detection rate
     blind_volume: Weight | None = None  # the fraction of the region's volume that no LiDAR sees
     seen_by_two: Weight | None = None  # the fraction that fewer than two see
-    blind_spot_m: BlindSpotObjective | None = None
 
     @property
     def is_misses(self) -> bool:
@@ -322,37 +314,8 @@ class InscribedRadius:
         self._centres.learn()
 
 
-class BlindSpot:
-    """The largest distance of the blind-spot contour, in metres.
-
-    The term is too large as soon as one point far enough from the body is blind. Points that were blind in earlier
-    trials are tested first, then all of them, from the outside inwards. The subspaces are not needed.
-    """
-
-    def __init__(self, around: Directions) -> None:
-        self._around = around
-        self._points = looked_at(around)
-        self._recent: Recent[int] = Recent()
-        self.work = float(len(self._points.number))
-
-    def value(self, trial: Trial, limit: float = math.inf) -> float:
-        """Its value, or any number that is at least `limit` once it is known to be."""
-        if trial.visibility is None:
-            return 0.0
-        seen = seen_by_any(trial.visibility, trial.lidars)
-        first = np.array(self._recent.items, np.int64)
-        distance, point = largest_m(self._around, self._points, seen, limit, first)
-        if point >= 0:
-            self._recent.add(point)
-        return distance
-
-    def learn(self) -> None:
-        """Sort the findings of the batch in."""
-        self._recent.learn()
-
-
 class Criterion:
-    """The weighted mean of an objective's terms, for a region, its objects and the directions around the vehicle.
+    """The weighted mean of an objective's terms, for a region and its objects.
 
     With `kept`, the LiDARs that are left in each case of failure, it is that of the worst case.
     """
@@ -362,7 +325,6 @@ class Criterion:
         objective: Objective,
         region: Region,
         objects: Sequence[DetectionObject],
-        around: Directions | None = None,  # needed for a blind spot
         by_returns: Mapping[str, MissRate] = MappingProxyType({}),  # needed for objects that are detected by them
         misses: MissesTerm | None = None,  # needed for misses
         weight: Weights | None = None,  # of max VSR, by cuboid
@@ -392,9 +354,6 @@ class Criterion:
             if wanted_for is not None:
                 self.terms.append(UnseenFraction(least))
                 self._weights.append(wanted_for)
-        if objective.blind_spot_m is not None and around is not None:
-            self.terms.append(BlindSpot(around))
-            self._weights.append(objective.blind_spot_m.weight)
 
         self._bounded = [(number, one) for number, one in enumerate(self.terms) if isinstance(one, BoundedTerm)]
 

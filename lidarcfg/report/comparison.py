@@ -18,7 +18,6 @@ from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
-from lidarcfg.report.blind_spots import compare_contours
 from lidarcfg.report.describe import (
     beams,
     counted,
@@ -127,7 +126,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[ComparisonRow]:
         what = f"post of {posts.height_m:g} m"
         out.append(row(f"{what}, first seen at most (m)", ".2f", partial(_first_seen, i), -1))
         out.append(row(f"{what}, longest gap (m)", ".2f", partial(_longest_gap, i), -1))
-    out += _blind_rows(rigs, row)
+    out += _sight_rows(rigs, row) if study.visibility else []
     out += [
         row("beams across an upright pole, median", "g", lambda rig: rig.details.coverage.median_beams, 1),
         row("positions with no beam", ".2%", lambda rig: rig.details.coverage.by_none, -1),
@@ -192,24 +191,13 @@ def _growth(angles: bool, rig: Contender) -> float:
     return 1e3 * rig.found.robustness.largest_m(angles) if rig.found.robustness else 0.0
 
 
-def _blind_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
-    """Volumes by the number of LiDARs, and how far the shadow reaches; none where all see everything."""
-    if not rigs[0].found.blind.contours:
-        return []
-    out = [
-        row("shadow (m³)", ",.2f", lambda rig: rig.found.blind.volume_m3, -1),
-        row("volume seen by one LiDAR (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[1]),
-        row("volume seen by two or more (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[2:].sum(), 1),
+def _sight_rows(rigs: Sequence[Contender], row: Callable[..., ComparisonRow]) -> list[ComparisonRow]:
+    """Volumes by the number of LiDARs that see them."""
+    return [
+        row("shadow (m³)", ",.2f", lambda rig: rig.found.seen_by_m3[0], -1),
+        row("volume seen by one LiDAR (m³)", ",.2f", lambda rig: rig.found.seen_by_m3[1]),
+        row("volume seen by two or more (m³)", ",.2f", lambda rig: rig.found.seen_by_m3[2:].sum(), 1),
     ]
-    for i, contour in enumerate(rigs[0].found.blind.contours):
-        what = f"shadow {contour.directions.height_m:g} m above the ground"
-        out.append(row(f"{what}, largest (m)", ".2f", partial(_blind_spot, i, "largest_m"), -1))
-        out.append(row(f"{what}, area (m²)", ".2f", partial(_blind_spot, i, "area_m2"), -1))
-    return out
-
-
-def _blind_spot(i: int, what: str, rig: Contender) -> float:
-    return float(getattr(rig.found.blind.contours[i], what))
 
 
 def _first_seen(i: int, rig: Contender) -> float:
@@ -279,7 +267,6 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
     coverage = [(rig.title, rig.rig, rig.details.coverage) for rig in rigs]
     shown = drawings.least_detected([rig.found for rig in rigs])
     rings = [(name, {rig.title: rig.details.rings[name] for rig in rigs}) for name in shown]
-    blind = [(rig.title, rig.rig, rig.found.blind) for rig in rigs]
     return render(
         "comparison.html",
         title=f"Comparison: {study.name}",
@@ -306,7 +293,6 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         sizes=drawings.draw_sizes([(rig.title, rig.details) for rig in rigs]),
         drawn_objects=len(study.detection) > len(shown) and len(shown),
         rings=drawings.draw_rings(rings) if rings else None,
-        blind=compare_contours(study.region, blind) if blind[0][2].contours else None,
         limits=describe_limits(study),
         origin=describe_origin(study),
         coverage=drawings.compare_coverage(study.region, coverage),

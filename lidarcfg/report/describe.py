@@ -206,9 +206,6 @@ def _describe_terms(study: Study) -> str:
         terms.append(f"{wanted.blind_volume:g} × the fraction of the region that no LiDAR sees")
     if wanted.seen_by_two is not None:
         terms.append(f"{wanted.seen_by_two:g} × the fraction that fewer than two LiDARs see")
-    if spot := wanted.blind_spot_m:
-        what = f"the blind spot's largest distance from the body, {spot.height_m:g} m above the ground, in metres"
-        terms.append(f"{spot.weight:g} × {what}")
     terms += [f"{weight:g} × (1 − detection rate of {truncate(name)})" for name, weight in wanted.detection.items()]
     return "the weighted mean of " + ", ".join(terms)
 

@@ -40,8 +40,8 @@ def links_of(grid, rows, seen=None):
     return out
 
 
-def sight(limits=NONE):
-    return SimpleNamespace(limits=limits, obstacles=FREE)
+def sight(limits=NONE, **obstacles):
+    return SimpleNamespace(limits=limits, obstacles=SimpleNamespace(**vars(FREE) | obstacles))
 
 
 LEVEL = cones(((1.5, 1.5, 1.0), 0.0))  # one beam along the ground between the two layers
@@ -224,6 +224,9 @@ def test_what_does_not_fit_is_refused():
         "links: for each row": lambda: placement.label_components(grid, links_of(grid, LEVEL)[1:], np.empty((3, 3, 2), np.int32)),
         "links: not of neighbours": lambda: placement.label_components(grid, np.full((grid.rows, 3), 2**64 - 1, np.uint64), np.empty((3, 3, 2), np.int32)),
         "nine columns": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 8)))),
+        "a row for each LiDAR": lambda: placement.seen(grid, np.repeat(LEVEL, 2, 0), sight(np.zeros((1, 9)))),
+        "boxes": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 9)), boxes=np.zeros((6, 3)))),
+        "tree": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 9)), tree=None)),
         "cases: none": lambda: placement.TrialEvaluator(grid, np.empty((0, 1), bool), 4),
         "certificates: not from 1": lambda: placement.TrialEvaluator(grid, np.ones((1, 1), bool), 2**31),
         "certificates: no columns": lambda: placement.promote_certificates(np.empty((1, 0), np.int64), np.array([0]), np.array([0])),

@@ -94,8 +94,8 @@ def test_the_catalogues_range_counts_as_soon_as_anything_limits_sight(tmp_path):
     for more, least in (("", 0.5), ("visibility: {range: false}\n", 0.0)):
         loaded = study(tmp_path, text + "vehicle: {spheres: [{name: far, center_m: [0, 0, 90], radius_m: 1}]}\n" + more)
         rig, centres = at(loaded)
-        seen = loaded.visibility.seen_points(centres.reshape(-1, 3), rig_lidars(rig)[0])
-        distance = np.linalg.norm(centres - (1, 2, 1), axis=-1).ravel()
+        (seen,) = seen_cuboids(loaded.region, rig_lidars(rig), loaded.visibility.sight(rig_lidars(rig)))
+        distance = np.linalg.norm(centres - (1, 2, 1), axis=-1)
         assert np.array_equal(seen, distance >= least)
 
 
