@@ -1,13 +1,16 @@
-"""The API reference."""
+"""Pages that are made of the code."""
 
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_reference_is_up_to_date():
-    tool = ROOT / "tools/make_api.py"
+@pytest.mark.parametrize("name", ["make_api", "make_keys"])
+def test_pages_are_up_to_date(name):
+    tool = ROOT / f"tools/{name}.py"
     done = subprocess.run([sys.executable, tool, "--check"], check=False)
     assert done.returncode == 0, f"run {tool.relative_to(ROOT)}"

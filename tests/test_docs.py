@@ -24,7 +24,8 @@ from lidarcfg.errors import LidarcfgError
 from lidarcfg.placement.plan import PlanFile
 from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.report.summaries import summary
-from lidarcfg.requirements.scenario import ScenarioFile
+from lidarcfg.requirements.kinds import KINDS
+from lidarcfg.requirements.scenario_file import ScenarioFile
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Sensor
@@ -377,7 +378,10 @@ def parts(annotation):
         yield from parts(argument)
 
 
-@pytest.mark.parametrize("model", [StudyFile, ScenarioFile, PlanFile, RigFile, SceneFile, Sensor, Motion, Realism])
+FILES = [StudyFile, ScenarioFile, PlanFile, RigFile, SceneFile, Sensor, Motion, Realism]
+
+
+@pytest.mark.parametrize("model", [*FILES, *KINDS.values()])
 def test_every_key_of_a_file_is_documented(model):
     text = documentation()
     assert [key for key in keys(model) if not re.search(rf"\b{key}\b", text)] == []

@@ -7,8 +7,7 @@ import pytest
 
 import lidarcfg
 from lidarcfg.sensors.rig import load_rig
-from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.gltf_models import read_nodes
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene

@@ -29,8 +29,8 @@ from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
-from lidarcfg.simulate.tasks import CHUNK_RAYS, START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.simulate.tasks import CHUNK_RAYS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.tracer import Tracer

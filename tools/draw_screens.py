@@ -21,9 +21,9 @@ from PIL import Image
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
+from lidarcfg.capture.manifest import DriveInputs
 from lidarcfg.cli.main import cli
-from lidarcfg.cli.options import START, load_trajectory, nanoseconds
-from lidarcfg.viewer.contents import DriveInputs, complete_inputs, load_contents
+from lidarcfg.viewer.contents import complete_inputs, load_contents
 from lidarcfg.viewer.page import page_of
 from lidarcfg.viewer.server import Server
 from tests.chromium import browser
@@ -41,8 +41,7 @@ FROM = (
 def served(*files: str) -> Iterator[str]:
     """The address of the page of a capture, as it was noted, and other files."""
     paths, known = complete_inputs([Path(name) for name in files], DriveInputs(), print)
-    drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
-    contents = load_contents(paths, known.rig, None, drive, print, vehicle=known.vehicle)
+    contents = load_contents(paths, known.rig, None, known.motion(), print, vehicle=known.vehicle)
     with Server(contents, page_of(contents, by="height", served=True)) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield server.url

@@ -1,8 +1,8 @@
 """A capture's points: pcap → packets → returns → cloud.
 
 `CaptureReader` finds the LiDARs' packets in a pcap and gives them chunk by chunk: `Packets` are successive ones of one
-sensor, in the order of its clock. `Packets.decode` asks the sensor's codec for their `Returns`, in the sensor's frame,
-and `to_cloud` moves these into the vehicle's: a `PointCloud`. Chunks are decoded on all cores.
+sensor, in the order of its clock. `Packets.decode` asks the sensor's codec for their `DecodedReturns`, in the sensor's
+frame, and `to_cloud` moves these into the vehicle's: a `PointCloud`. Chunks are decoded on all cores.
 """
 
 import os
@@ -21,7 +21,7 @@ from lidarcfg.clouds.cloud import PointCloud, concatenate, gather
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import transform
-from lidarcfg.packets.codec import Returns
+from lidarcfg.packets.codec import DecodedReturns
 from lidarcfg.sensors.rig import Rig, load_rig
 
 POINT_BYTES = 3  # that a return takes at least in a capture: distance and intensity
@@ -111,7 +111,7 @@ def _decode_chunk(chunk: list[Packets], driver: bool) -> PointCloud:
     return clouds[0] if len(clouds) == 1 else concatenate(clouds)
 
 
-def to_cloud(packets: Packets, returns: Returns, driver: bool = False) -> PointCloud:
+def to_cloud(packets: Packets, returns: DecodedReturns, driver: bool = False) -> PointCloud:
     """The returns of packets as points of the vehicle's frame; without a rig, of the sensor's. Moves them in place."""
     sender = packets.sender
     xyz = returns.xyz_m

@@ -12,12 +12,12 @@ import numpy as np
 
 from lidarcfg.capture.replay import receiver_address, sender_address
 from lidarcfg.capture.selection import Selection, read_window, window_ns
-from lidarcfg.capture.sources import Sources, endpoint_name
+from lidarcfg.capture.sources import SourceFinder, endpoint_name
 from lidarcfg.capture.stream import ENOUGH
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Bytes
 from lidarcfg.packets.codec import Codec
-from lidarcfg.packets.emulator import Emulator, Site
+from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.families import FAMILIES, codec, family
 from lidarcfg.units import SECOND_NS
 
@@ -29,7 +29,7 @@ class EmulatedSensor:
     """A sensor of a capture that answers."""
 
     host: str  # its address in the capture
-    site: Site
+    site: NetworkSite
     emulator: Emulator
 
     def __str__(self) -> str:
@@ -44,13 +44,13 @@ def find_emulated(
 
     Warns of those that cannot. Raises PacketError, ConfigError if none can, or one lacks what it needs for it.
     """
-    sources = Sources(path, on_warning)
+    sources = SourceFinder(path, on_warning)
     receiver = receiver_address(target)
     found: dict[str, EmulatedSensor] = {}
     without: list[str] = []
     for key, packets in _first_packets(path, sources, selection):
         source = sources.source(key)
-        site = Site(sender_address(source.host, receiver), receiver, port)
+        site = NetworkSite(sender_address(source.host, receiver), receiver, port)
         emulator = codec(sources.sensor(key, packets)).emulator(source, packets, site)
         if emulator is None:
             without.append(f"{endpoint_name(key)} ({sources.family_of(key)})")
@@ -68,7 +68,7 @@ def find_emulated(
     return list(found.values())
 
 
-def _first_packets(path: Path, sources: Sources, selection: Selection) -> Iterator[tuple[int, Bytes]]:
+def _first_packets(path: Path, sources: SourceFinder, selection: Selection) -> Iterator[tuple[int, Bytes]]:
     """The sources in the beginning of a part of a capture, and their first packets (P, size)."""
     begin_ns, end_ns = window_ns(path, selection)
     first: dict[int, Bytes] = {}

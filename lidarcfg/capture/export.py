@@ -13,12 +13,11 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
 from lidarcfg.packets.families import codec
-from lidarcfg.sensors.firing import RETURN_TYPES, Batch
+from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch
 from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.tasks import (
-    START_NS,
-    Drive,
     SimulationOptions,
     Task,
     TaskRunner,
@@ -27,6 +26,7 @@ from lidarcfg.simulate.tasks import (
     fired_fraction,
     map_chunks,
 )
+from lidarcfg.units import START_NS
 from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
@@ -146,7 +146,7 @@ def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
 
 
 @dataclass(frozen=True)
-class _Chunk:
+class _TracedFrames:
     """A traced chunk."""
 
     frames: Frames
@@ -158,7 +158,7 @@ def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> It
     maker = codec(task.mount.sensor)
     mount = task.mount
 
-    def make(batch: Batch, found: Echoes) -> _Chunk:
+    def make(batch: FiringBatch, found: Echoes) -> _TracedFrames:
         range_m = found.range_m + found.noise_m
         payloads = maker.encode(mount, batch, range_m, found.reflectivity)
         truth = np.empty(0, RECORD)
@@ -167,7 +167,7 @@ def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> It
             sent = maker.sent(mount, batch, payloads)
             fired_ns = maker.fired_ns(mount, batch, range_m)
             truth = records(task.index, types, batch.firings, fired_ns, found, sent)
-        return _Chunk(frames(mount.host, payloads), truth)
+        return _TracedFrames(frames(mount.host, payloads), truth)
 
     for chunk in map_chunks(task, runner, make):
         if on_truth:

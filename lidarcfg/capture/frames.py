@@ -172,7 +172,7 @@ def gather(data: Bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArr
     return everywhere[start].view(dtype)
 
 
-class IpPackets(NamedTuple):
+class _IpPackets(NamedTuple):
     """N IPv4 packets in the frames of a piece."""
 
     which: NDArray[np.int64]  # (N,) the frame
@@ -185,7 +185,7 @@ class IpPackets(NamedTuple):
     cut: int  # how many others hold only the beginning of a datagram, because the capture truncates frames
 
 
-def ip_packets(piece: Piece) -> IpPackets:
+def _ip_packets(piece: Piece) -> _IpPackets:
     """The IPv4 packets behind the frames' link headers and VLAN tags."""
     at, kind = LINK_HEADERS[piece.link]
     data = piece.data
@@ -217,12 +217,12 @@ def ip_packets(piece: Piece) -> IpPackets:
     whole = good & ~part & (left >= length + UDP.itemsize)
     cut = whole.copy()  # by UDP's length: IP's is wrong in position packets of 2014
     cut[whole] = gather(data, (ip + length)[whole], UDP)["length"] > (left - length)[whole]
-    return IpPackets(which, ip, head, length, end, whole & ~cut, part & good & (end > length), int(cut.sum()))
+    return _IpPackets(which, ip, head, length, end, whole & ~cut, part & good & (end > length), int(cut.sum()))
 
 
 def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
     """The UDP datagrams in the frames. A fragmented one is in the place of the fragment that completed it."""
-    which, ip, head, length, end, whole, part, cut = ip_packets(piece)
+    which, ip, head, length, end, whole, part, cut = _ip_packets(piece)
     reassembly.cut += cut
     found = _whole(piece, which[whole], ip[whole], head[whole], length[whole], end[whole])
     if not part.any():
@@ -269,7 +269,7 @@ def _with_fragments(
     late: dict[int, bytes] = {}  # by the last fragment that came
     for row in np.flatnonzero(alone).tolist():
         content = piece.data[start[row] : start[row] + size[row]].tobytes()
-        datagram = reassembly.add(fragment(int(piece.time_ns[frame[row]]), head[row], content))
+        datagram = reassembly.add(_fragment(int(piece.time_ns[frame[row]]), head[row], content))
         if datagram is not None and len(datagram) >= UDP.itemsize:
             late[row] = datagram
     if not len(first) and not late:
@@ -335,7 +335,7 @@ def _runs(
     return first[good], last[good]
 
 
-def fragment(time_ns: int, head: Any, data: bytes) -> Fragment:
+def _fragment(time_ns: int, head: Any, data: bytes) -> Fragment:
     """A fragment with the fields of its IP header."""
     flags = int(head["flags"])
     key = head["source"].tobytes() + head["destination"].tobytes() + int(head["id"]).to_bytes(2)

@@ -101,6 +101,14 @@ class TruthFile:
         return sum(counts)
 
 
+def is_truth(path: Path) -> bool:
+    """Whether a .npz is ground truth and no cloud."""
+    try:
+        return read_arrays(path, ("object_names", "intensity")).keys() == {"object_names"}  # a cloud may have both
+    except CloudError:  # loading it will say what is wrong
+        return False
+
+
 @dataclass(frozen=True)
 class Objects:
     """The object that each point is on."""

@@ -3,9 +3,10 @@
 import hashlib
 import math
 import os
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -17,11 +18,60 @@ from lidarcfg.files import example
 from lidarcfg.geometry import Array, angles, pose
 from lidarcfg.sensors.rig import NO_VEHICLE, ReturnMode
 from lidarcfg.sensors.sensor import catalogue
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Trajectory, load_path
 
+if TYPE_CHECKING:
+    from lidarcfg.simulate.drive import Drive
+
+ORIGIN = "0,0,0"  # as a pose
 SUFFIX = ".yaml"  # appended to the capture's name, so that it differs from a rig of that name
 READ = 1 << 20  # bytes of a file read at a time
+
+
+@dataclass(frozen=True)
+class DriveInputs:
+    """What a drive is assembled from: files, and where and when the vehicle starts; None where it is not known."""
+
+    rig: Path | None = None
+    scene: Path | None = None
+    trajectory: Path | None = None
+    vehicle: Path | None = None  # or none: no vehicle; None: the rig's
+    at: str | None = None  # as `parse_pose` reads it; None: the origin
+    start: str | None = None  # ISO 8601; None: START_NS
+    duration_s: float | None = None
+    return_mode: ReturnMode | None = None  # of all sensors; None: the rig's
+
+    @property
+    def T_world_start(self) -> Array:
+        """(4, 4) where the vehicle starts. Raises ConfigError."""
+        return parse_pose(self.at or ORIGIN)
+
+    @property
+    def start_ns(self) -> int:
+        """When it starts. Raises ConfigError."""
+        return parse_time_ns(self.start) if self.start else START_NS
+
+    def motion(self) -> Trajectory:
+        """The vehicle's motion; without a file it stands. Raises ConfigError."""
+        return Trajectory(self.T_world_start, load_path(self.trajectory), self.start_ns)
+
+    def load(self) -> "Drive":
+        """The drive of a rig in a scene for a while, which must all be known. Raises LidarcfgError."""
+        from lidarcfg.simulate.drive import Drive  # with all that tracing needs
+
+        assert self.rig
+        assert self.scene
+        assert self.duration_s
+        return Drive.load(
+            self.rig,
+            self.scene,
+            self.duration_s,
+            at=self.motion(),
+            vehicle=self.vehicle,
+            start_ns=self.start_ns,
+            return_mode=self.return_mode,
+        )
 
 
 class FileDigest(Model):
@@ -92,9 +142,20 @@ class CaptureManifest(Model):
 
     def motion(self) -> Trajectory:
         """The vehicle's motion. Raises ConfigError as `input_path` does, and for a pose or a time that is none."""
-        T_world_start = parse_pose(self.at)
-        path = load_path(self.input_path("trajectory"))
-        return Trajectory(T_world_start, path, parse_time_ns(self.start))
+        return DriveInputs(trajectory=self.input_path("trajectory"), at=self.at, start=self.start).motion()
+
+    def inputs(self, hint: str) -> DriveInputs:
+        """All that the capture was made of. Raises ConfigError as `input_path` does."""
+        return DriveInputs(
+            rig=self.input_path("rig", hint),
+            scene=self.input_path("scene", hint),
+            trajectory=self.input_path("trajectory", hint),
+            vehicle=self.input_path("vehicle", hint),
+            at=self.at,
+            start=self.start,
+            duration_s=self.duration_s,
+            return_mode=self.return_mode,
+        )
 
 
 def load_manifest(capture: Path) -> CaptureManifest:

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,15 +12,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lidarcfg.capture.manifest import CaptureManifest, FileDigest, Input, format_pose, manifest_path, sha256
+from lidarcfg.capture.manifest import (
+    CaptureManifest,
+    DriveInputs,
+    FileDigest,
+    Input,
+    format_pose,
+    manifest_path,
+    sha256,
+)
 from lidarcfg.config.document import yaml_text
 from lidarcfg.config.models import load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array
-from lidarcfg.sensors.rig import Rig, load_rig, rig_text
+from lidarcfg.sensors.rig import NO_VEHICLE, Rig, load_rig, rig_text
 from lidarcfg.sensors.sensor import catalogue
-from lidarcfg.simulate.tasks import Drive
+from lidarcfg.simulate.drive import Drive
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, files_of
@@ -49,23 +57,31 @@ class ManifestInputs:
     """The inputs of a drive, as a manifest names them; None where it cannot."""
 
     files: dict[str, Path | SidecarInput | None]
-    at: str | None
+    values: dict[str, Any]  # the other keys of `CaptureManifest`
 
     @classmethod
-    def of(
-        cls, drive: Drive, output: Path, rig: Path | None, scene: Path | None, trajectory: Path | None
-    ) -> "ManifestInputs":
-        """The inputs of a drive; some were given as these files."""
+    def of(cls, drive: Drive, output: Path, given: DriveInputs) -> "ManifestInputs":
+        """The inputs of a drive, some of which were given so."""
         at = drive.trajectory.T_world_start
         moved = None
-        if not trajectory:
+        if not given.trajectory:
             at, moved = _motion(drive.trajectory, drive.start_ns)
         files: dict[str, Path | SidecarInput | None] = {
-            "rig": rig or _rig(drive.rig, output.parent),
-            "scene": scene or _scene(drive.scene),
-            "trajectory": trajectory or moved,
+            "rig": given.rig or _rig(drive.rig, output.parent),
+            "scene": given.scene or _scene(drive.scene),
+            "trajectory": given.trajectory or moved,
+            "vehicle": given.vehicle if drive.vehicle else None,
         }
-        return cls(files, format_pose(at))
+        start = datetime.fromtimestamp(drive.start_ns // SECOND_NS, UTC).replace(tzinfo=None).isoformat()
+        values = {
+            "at": given.at or format_pose(at),
+            "start": given.start or start,
+            "duration_s": drive.duration_ns / SECOND_NS,
+            "return_mode": given.return_mode,
+        }
+        if given.vehicle and not drive.vehicle:
+            values["vehicle"] = NO_VEHICLE
+        return cls(files, values)
 
     def outdated(self, output: Path) -> list[Path]:
         """Files that an earlier export left beside the output and that this one neither writes nor reads."""
@@ -85,9 +101,7 @@ class ManifestInputs:
             return []
         if not self.files["scene"]:
             on_warning(f"{manifest}: names no scene, which is in no file; view and convert need it")
-        start = datetime.fromtimestamp(drive.start_ns // SECOND_NS, UTC).replace(tzinfo=None).isoformat()
-        values = {"at": self.at, "start": start, "duration_s": drive.duration_ns / SECOND_NS}
-        save_manifest(output, self.files, drive, values)
+        self._write(output, drive)
         suffixes = [given.suffix for given in self.files.values() if isinstance(given, SidecarInput)]
         return [manifest, *(output.with_name(output.name + suffix) for suffix in suffixes)]
 
@@ -96,7 +110,22 @@ class ManifestInputs:
         """Why there can be no manifest; None if there can."""
         if not self.files["rig"]:
             return "sensors of the rig are in no file"
-        return None if self.at else "the vehicle's pose is not rigid"
+        return None if self.values["at"] else "the vehicle's pose is not rigid"
+
+    def _write(self, capture: Path, drive: Drive) -> None:
+        """Write the manifest beside a capture. It also names the files that the inputs name, as the drive has them."""
+        scene_file = self.files["scene"]
+        named = {"rig": _sensor_files(drive.rig)}
+        if isinstance(scene_file, Path):
+            named["scene"] = files_of(drive.scene.file, example(scene_file).parent)
+        if drive.vehicle:
+            owner = "vehicle" if self.files["vehicle"] else "rig"
+            named[owner] = [*named.get(owner, []), *files_of(drive.vehicle.file, Path())]
+        inputs = {key: _input(given, named.get(key, []), capture) for key, given in self.files.items() if given}
+        others = {key: value for key, value in self.values.items() if value is not None}
+        manifest = CaptureManifest.model_validate({"models": _models(drive.rig), **inputs, **others})
+        with replacing(manifest_path(capture)) as out:
+            out.write(yaml_text(manifest.model_dump(mode="json", exclude_none=True), blocks=True))
 
 
 def _rig(rig: Rig, folder: Path) -> SidecarInput | None:
@@ -149,27 +178,6 @@ def _models(rig: Rig) -> dict[str, str] | None:
     known = catalogue()
     names = sorted({mount.model for mount in rig.mounts if mount.model and mount.model in known})
     return {name: sha256(known[name]) for name in names} or None
-
-
-def save_manifest(
-    capture: Path, files: Mapping[str, Path | SidecarInput | None], drive: Drive, values: Mapping[str, Any]
-) -> None:
-    """Write the manifest beside a capture: its input files, and the other keys of `CaptureManifest`.
-
-    The drive is what was read of the files; the files that it names are in the manifest, too.
-    """
-    scene_file = files["scene"]
-    named = {"rig": _sensor_files(drive.rig)}
-    if isinstance(scene_file, Path):
-        named["scene"] = files_of(drive.scene.file, example(scene_file).parent)
-    if drive.vehicle:
-        owner = "vehicle" if files.get("vehicle") else "rig"
-        named[owner] = [*named.get(owner, []), *files_of(drive.vehicle.file, Path())]
-    inputs = {key: _input(given, named.get(key, []), capture) for key, given in files.items() if given}
-    others = {key: value for key, value in values.items() if value is not None}
-    manifest = CaptureManifest.model_validate({"models": _models(drive.rig), **inputs, **others})
-    with replacing(manifest_path(capture)) as out:
-        out.write(yaml_text(manifest.model_dump(mode="json", exclude_none=True), blocks=True))
 
 
 def _input(given: Path | SidecarInput, named: list[Path], capture: Path) -> Input:

@@ -5,7 +5,7 @@ import socket
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from io import BufferedReader, BytesIO, FileIO
+from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -16,10 +16,11 @@ from lidarcfg.capture.fragments import Reassembly
 from lidarcfg.capture.frames import ETHERNET, LINK_HEADERS, RECORD, Datagrams, Frames, Piece, datagrams, gather
 from lidarcfg.errors import PacketError
 from lidarcfg.files import replacing
-from lidarcfg.geometry import Bytes, Times
+from lidarcfg.geometry import Times
 from lidarcfg.inputs import check_regular
 from lidarcfg.units import SECOND_NS
 
+SUFFIXES = (".pcap", ".pcapng", ".cap")
 SECTION = b"\x0a\x0d\x0d\x0a"  # the first block's type, the same in either byte order
 ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}  # of bytes in a section, by its magic number
 INTERFACE = 1  # types of blocks
@@ -52,12 +53,11 @@ RECORDS_ALIKE = 32  # consecutive records of one length, after which more are ex
 RECORDS_AHEAD = 1024  # records that are then compared together
 
 
-class Frame(NamedTuple):
+class LinkFrame(NamedTuple):
     """What a packet block holds."""
 
     link: int
     time_ns: int  # host time
-    at: int  # where in the file its content is
     content: bytes
 
 
@@ -66,7 +66,6 @@ class _Block(NamedTuple):
 
     order: str  # of its bytes
     kind: int
-    at: int  # where in the file its body is
     body: bytes
 
     def unpack(self, layout: str, at: int = 0) -> tuple[int, ...]:
@@ -86,7 +85,7 @@ class _Interface(NamedTuple):
         return min(max(ticks + self.offset_s * SECOND_NS, 0), LATEST_NS)
 
 
-def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[Frame]:
+def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[LinkFrame]:
     """The frames of a pcapng up to the first block that is not whole. Raises PacketError."""
     count = 0
     interfaces = list[_Interface]()
@@ -105,7 +104,7 @@ def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -
                 content = block.body[PACKET_HEAD : PACKET_HEAD + size]
                 if len(content) < size:
                     raise ValueError
-                yield Frame(link.link, link.time_ns(high, low), block.at + PACKET_HEAD, content)
+                yield LinkFrame(link.link, link.time_ns(high, low), content)
                 count += 1
             elif block.kind == SIMPLE_PACKET:
                 raise PacketError(f"{name}: has simple packet blocks, which have no times; allowed: enhanced ones")
@@ -116,11 +115,11 @@ def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -
 def _blocks(file: IO[bytes], name: str) -> Iterator[_Block]:
     """All blocks. Raises PacketError, and ValueError or struct.error at one that is not whole."""
     order = ""
-    at = 0
+    first = True
     while head := file.read(HEAD + LENGTH):
         if head[:4] == SECTION:
             order = ORDERS.get(head[HEAD:], "")
-        if not order and not at:
+        if not order and first:
             raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng")
         kind, size = struct.unpack_from((order or "<") + "II", head)
         if size > BLOCK_MAX:
@@ -128,8 +127,8 @@ def _blocks(file: IO[bytes], name: str) -> Iterator[_Block]:
         content = head + file.read(max(size - len(head), 0))
         if not order or len(content) != size or content[-LENGTH:] != content[4:HEAD]:
             raise ValueError
-        yield _Block(order, kind, at + HEAD, content[HEAD:-LENGTH])
-        at += size
+        yield _Block(order, kind, content[HEAD:-LENGTH])
+        first = False
 
 
 def _interface(block: _Block) -> _Interface:
@@ -159,6 +158,16 @@ class Datagram:
     port: int  # the one it was sent to
     payload: bytes
     later_ns: int = 0  # than it was captured, if it is sent again
+
+
+def is_capture(path: Path) -> bool:
+    """Whether a file is a capture by its suffix, or else by its first bytes. Raises OSError."""
+    if path.suffix.lower() in SUFFIXES:
+        return True
+    check_regular(path)
+    with path.open("rb") as file:
+        first = file.read(4)
+    return first in PCAP_MAGIC or first == SECTION
 
 
 def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:
@@ -323,24 +332,8 @@ def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:
     return heads["seconds"].astype(np.int64) * SECOND_NS + heads["microseconds"].astype(np.int64) * unit_ns
 
 
-def frames_in_memory(data: bytes, name: str) -> Iterator[Piece]:
-    """All frames of a capture that is in memory, in the order of the file. Raises PacketError."""
-    content = np.frombuffer(data, np.uint8)
-    if data[:4] not in PCAP_MAGIC or len(data) < HEADER:
-        yield from _pcapng_pieces(BytesIO(data), name, lambda warning: None, content)
-        return
-    order, unit_ns = PCAP_MAGIC[data[:4]]
-    link = _checked_link(struct.unpack_from(order + "I", data, 20)[0] & 0xFFFF, name)
-    record = RECORD if order == "<" else RECORD.newbyteorder()
-    start = _records(content[HEADER:], record)[0] + HEADER
-    heads = gather(content, start, record)
-    yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), content)
-
-
-def _pcapng_pieces(
-    file: IO[bytes], name: str, on_warning: Callable[[str], None], whole: Bytes | None = None
-) -> Iterator[Piece]:
-    """The frames of a pcapng, consecutive ones of one link type at a time; as views of `whole`, if that is given.
+def _pcapng_pieces(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[Piece]:
+    """The frames of a pcapng, consecutive ones of one link type at a time.
 
     Frames of unknown link types are skipped. Raises PacketError if all are unknown.
     """
@@ -350,17 +343,15 @@ def _pcapng_pieces(
         for link, alike in itertools.groupby(some, lambda frame: frame.link):
             links.add(link)
             if link in LINK_HEADERS:
-                yield _piece(link, list(alike), whole)
+                yield _piece(link, list(alike))
     if links and not links & LINK_HEADERS.keys():
         _checked_link(min(links), name)
 
 
-def _piece(link: int, frames: list[Frame], whole: Bytes | None) -> Piece:
-    time_ns, start, size = np.array([(one.time_ns, one.at, len(one.content)) for one in frames], np.int64).T
-    if whole is None:
-        whole = np.frombuffer(b"".join(one.content for one in frames), np.uint8)
-        start = np.cumsum(size) - size
-    return Piece(link, time_ns, start, size, whole)
+def _piece(link: int, frames: list[LinkFrame]) -> Piece:
+    time_ns, size = np.array([(one.time_ns, len(one.content)) for one in frames], np.int64).T
+    data = np.frombuffer(b"".join(one.content for one in frames), np.uint8)
+    return Piece(link, time_ns, np.cumsum(size) - size, size, data)
 
 
 def _check_size(size: int, name: str) -> None:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.frames import Datagrams
 from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, read_window, window_ns
-from lidarcfg.capture.sources import Sources, endpoint_name
+from lidarcfg.capture.sources import SourceFinder, endpoint_name
 from lidarcfg.capture.stream import ENOUGH, Packets, Sender, SourceStats, Stream
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Bytes, Times
-from lidarcfg.packets.codec import Source
+from lidarcfg.packets.codec import PacketSource
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import Sensor
 
@@ -28,7 +28,7 @@ class Recording:
     """All packets of one source, in the order of the capture."""
 
     name: str  # host:port, or the mount's
-    source: Source
+    source: PacketSource
     sensor: Sensor
     packets: Bytes  # (P, size)
     host_ns: Times  # (P,)
@@ -51,7 +51,7 @@ class CaptureReader:
         self._rig = rig
         self._selection = selection
         self._window_ns = window_ns(path, selection)
-        self._sources = Sources(self._path, on_warning, rig, model, driver_view)
+        self._sources = SourceFinder(self._path, on_warning, rig, model, driver_view)
         self._streams: dict[int, Stream | None] = {}  # by source, in the order of their appearance; None: not selected
         self._sensor_names = tuple(mount.name for mount in rig.mounts) if rig else ()
         if rig:

@@ -19,7 +19,7 @@ from lidarcfg.capture.pcap import read_batches
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Bytes
 from lidarcfg.inputs import read_regular
-from lidarcfg.packets.codec import Decoder, KnownSensors, Source
+from lidarcfg.packets.codec import Decoder, KnownSensors, PacketSource
 from lidarcfg.packets.families import FAMILIES, codec, family
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import Sensor, catalogue, load_sensor
@@ -28,7 +28,7 @@ EXAMINED = 3  # packets of a source, at most, by which its family is found: the 
 SIDECAR_MAX = 64_000_000  # bytes of a file beside a capture
 
 
-class Sources:
+class SourceFinder:
     """Finds out who sends the datagrams of a capture. `model` is given for all, or the rig's mounts are."""
 
     def __init__(
@@ -125,10 +125,10 @@ class Sources:
         _, mount = self.mount(key)
         return self._model or (mount.sensor if mount else None)
 
-    def source(self, key: int) -> Source:
+    def source(self, key: int) -> PacketSource:
         """What a codec can ask about a source."""
         host, port = _endpoint(key)
-        return Source(
+        return PacketSource(
             where=f"{self._path}: {endpoint_name(key)}",
             host=host,
             port=port,

@@ -8,7 +8,7 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Decoder, Returns
+from lidarcfg.packets.codec import DecodedReturns, Decoder
 from lidarcfg.units import SECOND_NS
 
 ENOUGH = 16  # packets, to tell a model by
@@ -39,7 +39,7 @@ class Packets:
     device_ns: Times  # (P,)
     wanted: Flags  # (P,) the others only say how the head turns
 
-    def decode(self) -> Returns:
+    def decode(self) -> DecodedReturns:
         """The returns of the wanted packets, in the sensor's frame. Raises PacketError for invalid packets."""
         try:
             return self.decoder.decode(self.data, self.host_ns, self.wanted)

@@ -7,10 +7,10 @@ import click
 import cloup
 
 from lidarcfg.cli.completion import complete_model
-from lidarcfg.cli.options import FILE, load_trajectory, nanoseconds, quiet_option, warn
+from lidarcfg.cli.options import FILE, quiet_option, warn
 
 if TYPE_CHECKING:
-    from lidarcfg.simulate.tasks import Drive
+    from lidarcfg.simulate.drive import Drive
 
 
 @cloup.command(
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
       lidarcfg convert out/two.urdf -o out/again.yaml
       lidarcfg convert out/two.ply -o out/two.laz
       lidarcfg convert out/two.pcap --rig out/two/rig.yaml -o out/two.mcap
-      lidarcfg convert out/two.pcap -o out/two-firings.npz
     """
 )
 @cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a kit, a bag, a cloud or a capture.")
@@ -94,9 +93,6 @@ def convert(
                           folder   kitti-odometry  needs --truth of an export
                           folder   kitti-object  the same: labels, boxes
                           folder   nuscenes      the same: all tables
-                          .npz     firings       all that each laser measured
-    firings: .npz         .pcap    pcap          the capture again
-                          .pcapng  pcapng        the same as pcapng
 
     LAS, bags and MCAP need: pip install 'lidarcfg[convert]'
     """
@@ -121,12 +117,10 @@ def convert(
         return
     if form.kind != "capture" and ((rig and form.kind != "bag") or model or truth):
         raise click.UsageError("--rig, --truth and --model are for captures")
-    if form.name == "firings" and (rig or truth):
-        raise click.UsageError("--rig and --truth are not for firings, which are of each sensor alone")
     if rig and (truth or form.name in formats.FOLDERS):
         what = "--truth goes" if truth else f"{form.name} goes"
         raise click.UsageError(f"{what} by the manifest beside an exported capture, which names the rig; remove --rig")
-    drive = None if rig or form.kind != "capture" or form.name == "firings" else _drive(source, form.name, truth)
+    drive = None if rig or form.kind != "capture" else _drive(source, form.name, truth)
     if drive:
         from lidarcfg.io.drive_dataset import load_drive
 
@@ -167,11 +161,6 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
     from lidarcfg.capture.manifest import load_manifest, manifest_path
     from lidarcfg.errors import ConfigError
     from lidarcfg.io.formats import FOLDERS
-    from lidarcfg.sensors.rig import load_rig
-    from lidarcfg.simulate.tasks import Drive
-    from lidarcfg.units import SECOND_NS
-    from lidarcfg.world.scene import load_scene
-    from lidarcfg.world.vehicle import resolve_vehicle
 
     beside = manifest_path(capture)
     if not beside.exists():
@@ -182,17 +171,8 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
         raise click.UsageError(
             f"{name} needs the objects of points; give the --truth that export wrote with the capture"
         )
-    manifest = load_manifest(capture)
     hint = "--rig takes the sensors' poses alone" if name not in FOLDERS and not truth else "export it again"
-    rig = manifest.input_path("rig", hint)
-    scene = manifest.input_path("scene", hint)
-    trajectory = manifest.input_path("trajectory", hint)
-    vehicle = manifest.input_path("vehicle", hint)
-    assert rig
-    if not scene:
+    inputs = load_manifest(capture).inputs(hint)
+    if not inputs.scene:
         raise ConfigError(f"{beside}: names no scene; export with the scene's file")
-    mounted = load_rig(rig)
-    start_ns = nanoseconds(manifest.start)
-    moved = load_trajectory(trajectory, manifest.at, start_ns)
-    duration_ns = round(manifest.duration_s * SECOND_NS)
-    return Drive(mounted, load_scene(scene), moved, resolve_vehicle(mounted, vehicle), start_ns, duration_ns)
+    return inputs.load()

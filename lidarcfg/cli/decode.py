@@ -9,10 +9,10 @@ import cloup
 from lidarcfg.cli.options import (
     FILE,
     START_HELP,
+    StartPose,
+    StartTime,
     from_option,
-    load_trajectory,
     model_option,
-    nanoseconds,
     quiet_option,
     sensor_option,
     to_option,
@@ -50,8 +50,10 @@ if TYPE_CHECKING:
         "--deskew", is_flag=True, help="Deskew by the export's manifest beside the pcap: rig, trajectory, start."
     ),
     cloup.option("--trajectory", type=FILE, help="Deskew by this motion of the vehicle; needs --rig."),
-    cloup.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]"),
-    cloup.option("--start", metavar="TIME", help="When the trajectory starts; " + START_HELP),
+    cloup.option(
+        "--at", type=StartPose(), metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]"
+    ),
+    cloup.option("--start", type=StartTime(), metavar="TIME", help="When the trajectory starts; " + START_HELP),
 )
 @cloup.option(
     "--truth",
@@ -92,7 +94,7 @@ def decode(
     from dataclasses import replace
 
     from lidarcfg.capture.decode import decode_pcap
-    from lidarcfg.capture.manifest import load_manifest, rig_file
+    from lidarcfg.capture.manifest import DriveInputs, load_manifest, rig_file
     from lidarcfg.capture.selection import Selection
     from lidarcfg.clouds.cloud import concatenate, save_clouds
     from lidarcfg.io.bag_reader import is_bag
@@ -129,9 +131,7 @@ def decode(
 
             clouds = iter([with_objects(truth, concatenate(list(clouds)), mounted)])
         if trajectory or deskew:
-            from lidarcfg.simulate.tasks import START_NS
-
-            moved = load_trajectory(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)
+            moved = DriveInputs(trajectory=trajectory, at=at, start=start).motion()
             clouds = (replace(cloud, xyz=moved.world(cloud.xyz, cloud.time_ns)) for cloud in clouds)
         count = save_clouds(output, clouds)
     if not quiet:

@@ -11,11 +11,10 @@ import cloup
 
 from lidarcfg.cli.options import (
     FILE,
-    START,
     START_HELP,
     Seconds,
-    load_trajectory,
-    nanoseconds,
+    StartPose,
+    StartTime,
     quiet_option,
     warn,
     warn_of,
@@ -31,8 +30,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lidarcfg.sensors.rig import ReturnMode, Rig
+    from lidarcfg.simulate.drive import Drive
     from lidarcfg.simulate.simulator import RayCounts
-    from lidarcfg.simulate.tasks import Drive, SimulationOptions
+    from lidarcfg.simulate.tasks import SimulationOptions
 
     OnPath = Callable[[Path], None]
     Size = Callable[[float], str]  # of the files, as far as it is known when a fraction of the work is done
@@ -51,7 +51,11 @@ if TYPE_CHECKING:
     "Scene and motion",
     cloup.option("--scene", type=FILE, required=True, help="The scene's YAML."),
     cloup.option(
-        "--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scene.  [default: 0,0,0]"
+        "--at",
+        type=StartPose(),
+        default="0,0,0",
+        metavar="X,Y,YAW_DEG",
+        help="Pose of the vehicle in the scene.  [default: 0,0,0]",
     ),
     cloup.option("--trajectory", type=FILE, help="The vehicle's motion from there: YAML, or timed poses as .tum."),
     cloup.option(
@@ -60,7 +64,7 @@ if TYPE_CHECKING:
         metavar="FILE|none",
         help="The vehicle's body: YAML, or a mesh.  [default: the rig's]",
     ),
-    cloup.option("--start", metavar="TIME", help=START_HELP),
+    cloup.option("--start", type=StartTime(), metavar="TIME", help=START_HELP),
     cloup.option(
         "--return-mode",
         type=click.Choice(["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]),
@@ -118,38 +122,29 @@ def export(
         raise click.BadParameter(f"{str(output)!r} names neither a file nor a folder to write", param_hint="-o")
     with progress(quiet, keep=False) as on_fraction:
         on_fraction(0.0, f"reading {rig} and {scene}")
-        from lidarcfg.capture.manifest import manifest_path
-        from lidarcfg.capture.manifest_writer import save_manifest
+        from lidarcfg.capture.manifest import DriveInputs, manifest_path
+        from lidarcfg.capture.manifest_writer import ManifestInputs
         from lidarcfg.files import check_replaceable
-        from lidarcfg.sensors.rig import NO_VEHICLE, load_rig
-        from lidarcfg.simulate.tasks import START_NS, Drive
-        from lidarcfg.world.scene import load_scene
-        from lidarcfg.world.vehicle import check_outside, resolve_vehicle
+        from lidarcfg.world.vehicle import check_outside
 
-        mounted = _in_mode(load_rig(rig), return_mode)
-        world = load_scene(scene)
-        bodies = resolve_vehicle(mounted, vehicle)
-        if bodies:
-            check_outside(bodies, mounted.mounts, rig)
-    warn_of(bodies)
-    start_ns = nanoseconds(start) if start else START_NS
-    moved = load_trajectory(trajectory, at, start_ns)
-    drive = Drive(mounted, world, moved, bodies, start_ns, round(duration * SECOND_NS))
+        given = DriveInputs(rig, scene, trajectory, vehicle, at, start, duration, return_mode)
+        drive = given.load()
+        if drive.vehicle:
+            check_outside(drive.vehicle, drive.rig.mounts, rig)
+    warn_of(drive.vehicle)
+    if return_mode:
+        _warn_of_thin_beams(drive.rig)
     rays = Rays()
-    files = {"rig": rig, "scene": scene, "trajectory": trajectory, "vehicle": vehicle if bodies else None}
-    values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
-    values |= {"vehicle": NO_VEHICLE} if vehicle and not bodies else {}
-
     paths = [output]
     if split and output.suffix == ".pcap":
-        paths = [output.with_name(f"{output.stem}-{mount.name}.pcap") for mount in mounted.mounts]
+        paths = [output.with_name(f"{output.stem}-{mount.name}.pcap") for mount in drive.rig.mounts]
     for path in paths:  # not after hours
         if path.suffix == ".pcap" and name is None:
             check_replaceable(path)
         check_replaceable(manifest_path(path))
 
     def save(path: Path) -> None:
-        save_manifest(path, files, drive, values)
+        ManifestInputs.of(drive, path, given).save(path, drive, warn)
 
     if output.suffix == ".pcap" and name is None:
         if deskew:
@@ -218,7 +213,7 @@ def _export_packets(
     from lidarcfg.capture.ground_truth import TruthFile
     from lidarcfg.capture.pcap import write_pcap
     from lidarcfg.inputs import check_room, format_bytes
-    from lidarcfg.simulate.tasks import object_names
+    from lidarcfg.simulate.drive import object_names
 
     if truth and truth.suffix != ".npz":
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
@@ -301,14 +296,8 @@ def _export_points(
     return [f"{output}: {found}, {drive.duration_ns / SECOND_NS:g} s"]
 
 
-def _in_mode(rig: "Rig", return_mode: "ReturnMode | None") -> "Rig":
-    """The rig with the return mode of all of its sensors replaced."""
-    if return_mode is None:
-        return rig
-    from dataclasses import replace
-
-    mounts = tuple(replace(one, return_mode=return_mode) for one in rig.mounts)
-    thin = [one.name for one in mounts if one.dual and not (one.realism and one.realism.divergence)]
+def _warn_of_thin_beams(rig: "Rig") -> None:
+    """Warn of sensors with two returns, whose beams have one echo."""
+    thin = [one.name for one in rig.mounts if one.dual and not (one.realism and one.realism.divergence)]
     if thin:
         warn(f"{', '.join(thin)}: beams without divergence have one echo, so that both returns are the same")
-    return replace(rig, mounts=mounts)

@@ -5,7 +5,7 @@ import re
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 import cloup
@@ -14,12 +14,8 @@ from lidarcfg.cli.completion import complete_model, complete_mount
 from lidarcfg.errors import one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from lidarcfg.world.motion import Trajectory
     from lidarcfg.world.vehicle import Vehicle
 
-T = TypeVar("T")
 FILE = click.Path(path_type=Path)
 UNITS_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "": 1.0}
 SECONDS = re.compile(rf"(.*?)\s*({'|'.join(sorted(UNITS_S, key=len, reverse=True))})")
@@ -90,6 +86,46 @@ class Seconds(click.types.FloatParamType):
         return seconds
 
 
+class _Readable(click.types.StringParamType):
+    """A text that is read later, and can be."""
+
+    def read(self, text: str) -> object:
+        """What the text says. Raises ConfigError."""
+        raise NotImplementedError
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The text, or click's error."""
+        from lidarcfg.errors import ConfigError
+
+        try:
+            self.read(value)
+        except ConfigError as error:
+            self.fail(str(error), param, ctx)
+        return value
+
+
+class StartPose(_Readable):
+    """Where a vehicle starts: X,Y,YAW_DEG."""
+
+    name = "pose"
+
+    def read(self, text: str) -> object:
+        from lidarcfg.capture.manifest import parse_pose
+
+        return parse_pose(text)
+
+
+class StartTime(_Readable):
+    """When it starts: ISO 8601."""
+
+    name = "time"
+
+    def read(self, text: str) -> object:
+        from lidarcfg.capture.manifest import parse_time_ns
+
+        return parse_time_ns(text)
+
+
 model_option = cloup.option(
     "--model",
     metavar="MODEL",
@@ -144,28 +180,3 @@ def warn_of(vehicle: "Vehicle | None") -> None:
     """Print the warnings about the meshes of a vehicle."""
     for message in vehicle.warnings if vehicle else ():
         warn(message)
-
-
-def load_trajectory(path: Path | None, at: str, start_ns: int) -> "Trajectory":
-    """The vehicle's motion, which starts at X,Y,YAW_DEG; without a file the vehicle stands there."""
-    from lidarcfg.capture.manifest import parse_pose
-    from lidarcfg.world.motion import Trajectory, load_path
-
-    return Trajectory(_parsed(parse_pose, at, "--at"), load_path(path), start_ns)
-
-
-def nanoseconds(start: str) -> int:
-    """Nanoseconds since 1970 (UTC) of a time in ISO 8601."""
-    from lidarcfg.capture.manifest import parse_time_ns
-
-    return _parsed(parse_time_ns, start, "--start")
-
-
-def _parsed(read: "Callable[[str], T]", text: str, option: str) -> "T":
-    """The value of an option's text. Raises click.BadParameter."""
-    from lidarcfg.errors import ConfigError
-
-    try:
-        return read(text)
-    except ConfigError as error:
-        raise click.BadParameter(str(error), param_hint=option) from None

@@ -142,7 +142,7 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
 
     screen = interrupts.screen
     task = None
-    pace = Pace(mean_over_s)
+    pace = WorkPace(mean_over_s)
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal task
@@ -162,7 +162,7 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
     screen.close(clear=not keep)
 
 
-class Pace:
+class WorkPace:
     """How fast work proceeds, by its updates of the last `mean_over_s` seconds."""
 
     def __init__(self, mean_over_s: float) -> None:
@@ -181,7 +181,7 @@ class Pace:
         return took_s * (1 - fraction) / done if took_s >= KNOWN_S and done > 0 and fraction < 1 else None
 
 
-def _left(pace: Pace, fraction: float) -> str:
+def _left(pace: WorkPace, fraction: float) -> str:
     """The time left after an update, as far as it can be known."""
     left_s = pace.left_s(time.monotonic(), fraction)
     return "" if left_s is None else f"about {duration(left_s)} left"
@@ -190,7 +190,7 @@ def _left(pace: Pace, fraction: float) -> str:
 def _lines(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
     last = ""
     shown_s = time.monotonic()
-    pace = Pace(mean_over_s)
+    pace = WorkPace(mean_over_s)
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal last, shown_s

@@ -53,7 +53,7 @@ def verify(
         from lidarcfg.report.results import VERIFIED, check_writable, save_verdict, to_json
         from lidarcfg.report.verdict import junit as junit_text
         from lidarcfg.report.verdict import print_verdict, verdict_dict
-        from lidarcfg.requirements.verify import Verification, Verifier, evidence
+        from lidarcfg.requirements.verify import Verifier
         from lidarcfg.sensors.rig import load_rig
 
         loaded = load_study(study)
@@ -85,7 +85,7 @@ def verify(
         values = verdict_dict(verdicts[0], beside, [str(path) for path in paths])
         if output:
             on_progress(1.0, f"writing {output}")
-            shown = Verification(verdicts[0], evidence(verifier, rigs[0].mounts, verdicts[0]))
+            shown = verifier.verification(rigs[0].mounts, verdicts[0])
             save_verdict(loaded, rigs[0], shown, values, output, command_line(), beside)
     if junit:
         with replacing(junit) as file:

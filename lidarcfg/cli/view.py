@@ -11,10 +11,10 @@ from lidarcfg.cli.options import (
     FILE,
     START,
     Png,
+    StartPose,
+    StartTime,
     from_option,
-    load_trajectory,
     model_option,
-    nanoseconds,
     quiet_option,
     sensor_option,
     to_option,
@@ -85,10 +85,16 @@ def camera_numbers(text: str) -> tuple[float, ...]:
         "--trajectory", type=FILE, help="The vehicle's motion; deskews the points.  [default: from the manifest]"
     ),
     cloup.option(
-        "--at", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scenes.  [default: from the manifest, or 0,0,0]"
+        "--at",
+        type=StartPose(),
+        metavar="X,Y,YAW_DEG",
+        help="Pose of the vehicle in the scenes.  [default: from the manifest, or 0,0,0]",
     ),
     cloup.option(
-        "--start", metavar="TIME", help=f"When the motion starts; ISO 8601.  [default: from the manifest, or {START}]"
+        "--start",
+        type=StartTime(),
+        metavar="TIME",
+        help=f"When the motion starts; ISO 8601.  [default: from the manifest, or {START}]",
     ),
 )
 @cloup.option_group(
@@ -160,9 +166,10 @@ def view(
     """
     import numpy as np
 
+    from lidarcfg.capture.manifest import DriveInputs
     from lidarcfg.capture.selection import Selection
     from lidarcfg.viewer.camera import Camera
-    from lidarcfg.viewer.contents import DriveInputs, complete_inputs, load_contents
+    from lidarcfg.viewer.contents import complete_inputs, load_contents
     from lidarcfg.viewer.page import page_of, save_html
     from lidarcfg.viewer.still import save_still
     from lidarcfg.viewer.window import show_window
@@ -170,8 +177,8 @@ def view(
     seen_from = Camera(np.array(camera[:3]), np.array(camera[3:6]), *camera[6:]) if camera else None
     given = DriveInputs(rig, trajectory=trajectory, at=at, start=start)
     paths, known = complete_inputs(files, given, warn)
-    drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
-    contents = load_contents(paths, known.rig, model, drive, warn, Selection(from_s, to_s, sensors), known.vehicle)
+    selection = Selection(from_s, to_s, sensors)
+    contents = load_contents(paths, known.rig, model, known.motion(), warn, selection, known.vehicle)
     if start and contents.trajectory.path.is_static and not contents.scenes:
         raise click.UsageError(
             "--start is the time at which a --trajectory or a scene's motion starts; there is neither"

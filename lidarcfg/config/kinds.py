@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+YAML_SUFFIXES = (".yaml", ".yml", ".json")  # of our files
 OBJECTS = {"boxes", "spheres", "cylinders", "planes", "meshes"}
 MOTIONS = {"velocity_m_s", "arc", "poses"}
 DISCRIMINATING_KEYS = {  # keys that only one kind has; the first kind that matches counts

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, SerializationInfo, ValidationError
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from lidarcfg.config.document import Document, Key, document, key_text, read_text
 from lidarcfg.config.kinds import OTHERS, kind_of
@@ -96,14 +96,38 @@ def with_faults(faults: Sequence[PydanticCustomError], data: Any, handler: Calla
     try:
         made = handler(data)
     except ValidationError as error:
-        for item in error.errors(include_url=False):
-            context = item.get("ctx", {})
-            kind = validation_error(context["what"], *context["at"]) if item["type"] == "fault" else item["type"]
-            details.append(InitErrorDetails(type=kind, loc=item["loc"], input=item["input"], ctx=context))
+        details += [_details(item) for item in error.errors(include_url=False)]
     else:
         if not details:
             return made
     raise ValidationError.from_exception_data("", details)
+
+
+def as_model(model: type[M], values: Any, faults: Sequence[PydanticCustomError] = ()) -> M:
+    """A validator where one of several models belongs: the values as this one. Raises as `with_faults`.
+
+    What is said of unknown keys names this model's.
+    """
+
+    def validate(values: Any) -> M:
+        try:
+            return model.model_validate(values)
+        except ValidationError as error:
+            found = [_details(item, model) for item in error.errors(include_url=False)]
+            raise ValidationError.from_exception_data("", found) from None
+
+    return with_faults(faults, values, validate)
+
+
+def _details(item: ErrorDetails, model: type[Model] | None = None) -> InitErrorDetails:
+    """An error, to be raised again; of an unknown key with what is said of it, if its model is given."""
+    context = item.get("ctx", {})
+    kind: str | PydanticCustomError = item["type"]
+    if kind == "fault":
+        kind = validation_error(context["what"], *context["at"])
+    elif kind == "extra_forbidden" and model:
+        kind = validation_error(_message(item, model))
+    return InitErrorDetails(type=kind, loc=item["loc"], input=item["input"], ctx=context)
 
 
 def check_names(names: Iterable[str], what: str, *at: str | int) -> None:

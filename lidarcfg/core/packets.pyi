@@ -162,9 +162,6 @@ class HesaiDecoder:
     def decode(self, packets: Bytes, wanted: Flags, fields: PacketFields, out: Returns) -> int:
         """Fill in an entry for each return of the packets that are wanted (P,); returns how many."""
 
-def velodyne_turning(azimuth: NDArray[np.uint16], gap_ns: Times, period_ns: int, group_ns: int) -> tuple[Array, Times]:
-    """Steps in hundredths (P, G) to the next azimuth, of azimuths (P, G); and how late each group is."""
-
 def write_velodyne_returns(
     range_m: Array, reflectivity: Bytes, number: Times, offset_m: Array, limits: Sequence[float], packets: Bytes
 ) -> None:

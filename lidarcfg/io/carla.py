@@ -16,7 +16,7 @@ import numpy as np
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import read_regular
 from lidarcfg.io.kits.frames import Pose
-from lidarcfg.io.kits.kit import Frame, Kit
+from lidarcfg.io.kits.kit import Kit, LidarFrame
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import catalogue
@@ -97,7 +97,7 @@ def read_carla(path: Path) -> Kit:
     return Kit(str(path), name if isinstance(name, str) and name else path.stem, tuple(frames), tuple(others))
 
 
-def _frame(where: str, sensor: Mapping[str, Any]) -> Frame:
+def _frame(where: str, sensor: Mapping[str, Any]) -> LidarFrame:
     name = sensor.get("id")
     if not isinstance(name, str) or not name:
         raise ConversionError(f"{where}: has no id")
@@ -109,14 +109,14 @@ def _frame(where: str, sensor: Mapping[str, Any]) -> Frame:
         raise ConversionError(f"{where}: has no attributes")
     rpm = 60 * _number(where, attributes, "rotation_frequency")
     if isinstance(model, str) and model:
-        return Frame(name, pose, model=model, rpm=rpm)
+        return LidarFrame(name, pose, model=model, rpm=rpm)
     channels = _number(where, attributes, "channels")
     if not (channels.is_integer() and 1 <= channels <= CHANNELS_MAX):
         raise ConversionError(f"{where}: channels is {channels:g}; allowed: 1 to {CHANNELS_MAX}")
     lower_deg = _number(where, attributes, "lower_fov")
     upper_deg = _number(where, attributes, "upper_fov")
     beams = np.linspace(lower_deg, upper_deg, int(channels)).tolist()
-    return Frame(name, pose, elevation_deg=tuple(beams), rpm=rpm)
+    return LidarFrame(name, pose, elevation_deg=tuple(beams), rpm=rpm)
 
 
 def _number(where: str, values: Mapping[str, Any], key: str) -> float:

@@ -18,7 +18,7 @@ from lidarcfg.errors import CloudError, PacketError
 from lidarcfg.geometry import Array, inverse, transform
 from lidarcfg.io.kits.frames import quaternion_xyzw
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.simulate.tasks import Drive, object_names
+from lidarcfg.simulate.drive import Drive, object_names
 from lidarcfg.world.boxes import BoxedObject, Boxes, boxed_objects, boxes_at
 
 OnWarning = Callable[[str], None]

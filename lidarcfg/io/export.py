@@ -4,25 +4,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
-from lidarcfg.capture.manifest import manifest_path
+from lidarcfg.capture.manifest import DriveInputs, manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.config.models import Given
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.files import check_replaceable, loaded, remove_outdated
+from lidarcfg.files import check_replaceable, remove_outdated
 from lidarcfg.geometry import Array
 from lidarcfg.io import formats
 from lidarcfg.io.drive_dataset import DriveDataset
-from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.sensors.rig import Rig
+from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import simulated_scans
-from lidarcfg.simulate.tasks import START_NS, Drive
-from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import Trajectory, load_path
-from lidarcfg.world.scene import Scene, load_scene
-from lidarcfg.world.vehicle import rig_vehicle
+from lidarcfg.world.motion import Trajectory
+from lidarcfg.world.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -62,26 +58,25 @@ def export(
     if trajectory is not None and isinstance(at, Trajectory):
         raise LidarcfgError("at is a trajectory, and a file of another is given; allowed: one of them")
     output = Path(output)
-    given = [Path(one) if isinstance(one, str | Path) else None for one in (rig, scene, trajectory)]
-    rig = loaded(rig, load_rig, Rig)
-    scene = loaded(scene, load_scene, Scene)
-    if isinstance(at, Trajectory):
-        moved = at
-    else:
-        moved = Trajectory(np.eye(4) if at is None else at, load_path(trajectory), START_NS)
-    drive = Drive(rig, scene, moved, rig_vehicle(rig), START_NS, round(duration_s * SECOND_NS))
+    drive = Drive.load(rig, scene, duration_s, at=at, trajectory=trajectory)
     if output.parent.is_dir():
         check_replaceable(manifest_path(output))  # not after hours
-    inputs = ManifestInputs.of(drive, output, *given)
+    given = DriveInputs(_file(rig), _file(scene), _file(trajectory))
+    inputs = ManifestInputs.of(drive, output, given)
     if output.suffix != ".pcap" or to:
         form = formats.format_of("drive", output, to)
         dataset = DriveDataset(drive, simulated_scans(drive))
         written = formats.save_dataset(output, form, dataset, False, on_warning)
         companions: list[Path] = []
     else:
-        streams = simulated_frames(rig, scene, moved, drive.duration_ns, vehicle=drive.vehicle)
+        streams = simulated_frames(drive.rig, drive.scene, drive.trajectory, drive.duration_ns, vehicle=drive.vehicle)
         written = formats.Amount(write_pcap(output, in_time_order(streams)), "frames")
-        companions = save_sidecar_files(output, rig.mounts)
+        companions = save_sidecar_files(output, drive.rig.mounts)
     remove_outdated(inputs.outdated(output))
-    files = output, *companions, *inputs.save(output, drive, on_warning)
-    return Exported(files, written.count, written.what)
+    beside = *companions, *inputs.save(output, drive, on_warning)
+    return Exported((output, *beside), written.count, written.what)
+
+
+def _file(given: object) -> Path | None:
+    """The path of what is given as a file."""
+    return Path(given) if isinstance(given, str | Path) else None

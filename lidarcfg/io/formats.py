@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from lidarcfg.clouds.cloud import PointCloud, load_cloud, save_clouds
+from lidarcfg.config.kinds import YAML_SUFFIXES
 from lidarcfg.errors import ConversionError
 from lidarcfg.files import replacing, replacing_folder
 from lidarcfg.io.bag_reader import SUFFIXES, is_bag
@@ -15,12 +16,12 @@ from lidarcfg.sensors.rig import load_rig, save_rig
 if TYPE_CHECKING:
     from lidarcfg.io.drive_dataset import DriveDataset
 
-Kind = Literal["rig", "kit", "bag", "cloud", "capture", "firings", "drive"]
+Kind = Literal["rig", "kit", "bag", "cloud", "capture", "drive"]
 OnWarning = Callable[[str], None]
 
 INPUTS: dict[Kind, tuple[str, ...]] = {
-    "rig": (".yaml", ".yml", ".json"),
-    "kit": (*URDF_SUFFIXES, ".yaml", ".yml", ".json", ".txt"),
+    "rig": YAML_SUFFIXES,
+    "kit": (*URDF_SUFFIXES, *YAML_SUFFIXES, ".txt"),
     "bag": SUFFIXES,
     "cloud": (".ply", ".pcd", ".npz", ".las", ".laz", ".bin"),
     "capture": (".pcap", ".pcapng"),
@@ -67,9 +68,6 @@ FORMATS = (
     Format("mcap", "capture", ".mcap", "return type"),
     Format("rosbag1", "capture", ".bag", "return type"),
     *(Format(name, "capture", "", lost) for name, lost in DATASETS.items()),
-    Format("firings", "capture", ".npz"),
-    Format("pcap", "firings", ".pcap"),
-    Format("pcapng", "firings", ".pcapng"),
     Format("ply", "drive", ".ply"),
     Format("npz", "drive", ".npz"),
     Format("pcd", "drive", ".pcd", "boxes of objects"),
@@ -102,17 +100,16 @@ def format_of(kind: Kind, output: Path, name: str | None) -> Format:
                 if form.suffix and _suffix(output) != form.suffix:
                     raise ConversionError(f"{output}: does not end in {form.suffix}, as {name} does")
                 return form
-        raise ConversionError(f"{_failed(kind)} {name}; allowed: {', '.join(form.name for form in formats)}")
+        allowed = ", ".join(form.name for form in formats)
+        raise ConversionError(f"{_failed(kind)} {name}; allowed: {allowed}{_hint(kind)}")
     for form in formats:
         if form.suffix == _suffix(output) and form.name not in SELF_FILTERS:
             return form
     allowed = ", ".join(form.suffix for form in formats if form.suffix and form.name not in SELF_FILTERS)
     folder = ", or a folder, which has no suffix" if any(not form.suffix for form in formats) else ""
-    hint = "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
     if kind == "drive":
         allowed = f".pcap, {allowed}"
-        hint = ""
-    what = f"{_failed(kind)} {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
+    what = f"{_failed(kind)} {output.name!r}; allowed: {allowed}{folder}; or say which with --to{_hint(kind)}"
     raise ConversionError(what)
 
 
@@ -125,6 +122,10 @@ def _failed(kind: Kind) -> str:
     return "an export is not written as" if kind == "drive" else f"a {kind} does not convert to"
 
 
+def _hint(kind: Kind) -> str:
+    return "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
+
+
 def _kind_of(source: Path, output: Path, name: str | None) -> Kind:
     if is_bag(source):
         return "bag"
@@ -132,10 +133,6 @@ def _kind_of(source: Path, output: Path, name: str | None) -> Kind:
         return "kit"
     if output.suffix.lower() in RIG_SUFFIXES and source.suffix.lower() in INPUTS["kit"] and name is None:
         return "kit"
-    if source.suffix.lower() == ".npz":
-        from lidarcfg.io.firings import is_firings
-
-        return "firings" if is_firings(source) else "cloud"
     for kind, suffixes in INPUTS.items():
         if source.suffix.lower() in suffixes:
             return kind
@@ -161,8 +158,6 @@ def convert(
         return f"{save_packets(output, source, load_rig(rig) if rig else None, on_warning):,} packets"
     if form.kind == "cloud":
         return _convert_cloud(source, output, form.name, on_warning)
-    if "firings" in (form.name, form.kind):
-        return _convert_firings(source, output, form, model, on_warning)
     from lidarcfg.io.bag import save_bag, save_mcap
 
     mounted = load_rig(rig) if rig else None
@@ -259,15 +254,6 @@ def _convert_rig(source: Path, output: Path, name: str, on_warning: OnWarning) -
         with replacing(output) as file:
             file.write(text)
     return f"{len(rig.mounts):,} sensors"
-
-
-def _convert_firings(source: Path, output: Path, form: Format, model: str | None, on_warning: OnWarning) -> str:
-    from lidarcfg.io.firings import save_capture, save_firings
-
-    if form.kind == "firings":
-        return f"{save_capture(output, source):,} packets of firings"
-    made = save_firings(output, source, model, on_warning)
-    return f"{made.firings:,} firings of {made.packets:,} packets, and {made.rest:,} bytes of theirs beside them"
 
 
 def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Returns
+from lidarcfg.packets.codec import DecodedReturns
 
 D = TypeVar("D", bound=np.generic)
 
 
-class Slots(NamedTuple):
+class BlockSlots(NamedTuple):
     """The W slots of each of a packet's G groups of blocks, which are fired together."""
 
     laser: Times  # (W,)
@@ -22,7 +22,7 @@ class Slots(NamedTuple):
     other: Times  # (W,) where in the group the pair's other return is; empty with single returns
 
 
-class Lasers(NamedTuple):
+class BlockLasers(NamedTuple):
     """The L lasers: angles in radians, lengths in metres."""
 
     elevation: Array
@@ -44,13 +44,13 @@ def decode(
     gap_ns: Times,
     kind: Bytes,
     polar: bool,
-) -> Returns:
+) -> DecodedReturns:
     """The returns of the wanted (P,) among successive packets (P, size); the others only give the head's motion.
 
     `gap_ns` (P - 1,) are the times between stamps (P,), and `kind` (P,) the types of single returns. Without `polar`,
     ranges and azimuths are empty.
     """
-    out = Returns.allocate(decoder.count(data, wanted), polar)
+    out = DecodedReturns.allocate(decoder.count(data, wanted), polar)
     return out.first(decoder.decode(data, wanted, stamp_ns, np.append(gap_ns, 0), kind, out))
 
 

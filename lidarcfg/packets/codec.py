@@ -1,24 +1,23 @@
 """The interface that each maker's packets implement: a `Codec` writes and identifies them, its `Decoder` reads them.
 
 A family of packets is a subclass of `Codec`, registered in `packets/families.py`. Its bytes are known inside `packets/`
-only: the simulator sees `Firings`, capture files see `Payloads`, readers see `Returns`. `tests/packets/toy.py` is a
-small one.
+only: the simulator sees `Firings`, capture files see `Payloads`, readers see `DecodedReturns`. `tests/packets/toy.py`
+is a small one.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.config.models import Model
-from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.emulator import Emulator, Site
+from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.facts import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
-from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Timing
+from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, Timing
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 
@@ -34,17 +33,6 @@ class KnownSensors(Protocol):
 
 
 @dataclass(frozen=True)
-class Measurements:
-    """The contents of packets, by their N firings, as `Codec.encode` takes them."""
-
-    return_mode: str
-    batch: Batch
-    range_m: Array  # (N, R) inf: no return
-    reflectivity: Bytes  # (N, R) also where there is no return
-    more: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # the other contents of a family's packets
-
-
-@dataclass(frozen=True)
 class Payloads:
     """N UDP payloads of one size that one sensor sends to one port, in the order of time."""
 
@@ -57,7 +45,7 @@ class Payloads:
     fragments: bool = True  # whether packets above the MTU are sent as IP fragments
 
 
-class Returns(NamedTuple):
+class DecodedReturns(NamedTuple):
     """The returns in packets, in their order. Kernels fill the columns in."""
 
     xyz_m: Array  # (N, 3) in the sensor frame
@@ -70,7 +58,7 @@ class Returns(NamedTuple):
     return_type: Bytes  # (N,) 0 strongest, 1 last, 2 second strongest, 3 first: see sensors/firing.py
 
     @classmethod
-    def allocate(cls, size: int, polar: bool = False) -> "Returns":
+    def allocate(cls, size: int, polar: bool = False) -> "DecodedReturns":
         """Columns for this many returns; without `polar`, ranges and azimuths are empty."""
         polar_size = size if polar else 0
         return cls(
@@ -84,13 +72,13 @@ class Returns(NamedTuple):
             return_type=np.empty(size, np.uint8),
         )
 
-    def first(self, count: int) -> "Returns":
+    def first(self, count: int) -> "DecodedReturns":
         """The first `count` returns."""
-        return Returns._make(column[:count] for column in self)
+        return DecodedReturns._make(column[:count] for column in self)
 
 
 @dataclass(frozen=True)
-class Source:
+class PacketSource:
     """One endpoint of a capture: where its packets come from, and what else identifies them."""
 
     where: str  # file and endpoint, for errors
@@ -137,7 +125,7 @@ class Decoder(Protocol):
     def statistics(self) -> DecodeStatistics:
         """The counts so far."""
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         """The returns of the wanted packets (P,); the others only give the head's motion. Changes no state.
 
         Raises PacketError, without file and endpoint.
@@ -160,7 +148,7 @@ class Codec(Timing, Protocol):
 
     # writing
 
-    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
+    def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """The packets of a batch with ranges (N, R; inf: no return) and reflectivities (N, R).
 
         R is 2 with dual returns: strongest and last, first and last, first and strongest, or strongest and second
@@ -168,14 +156,14 @@ class Codec(Timing, Protocol):
         other one is the second strongest. Ranges that the sensor or the packet cannot hold are no returns.
         """
 
-    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
+    def sent(self, mount: Mount, batch: FiringBatch, payloads: Payloads) -> Flags:
         """(N, R) which ranges are returns in the packets; of an identical pair, only the first."""
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
         """(N, R) the types of the encoded returns, as decoding names them."""
         return np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape)
 
-    def fired_ns(self, mount: Mount, batch: Batch, range_m: Array) -> Times:
+    def fired_ns(self, mount: Mount, batch: FiringBatch, range_m: Array) -> Times:
         """(N, R) when the lasers fired whose returns these are, as decoders compute it."""
         return np.broadcast_to(batch.firings.time_ns[:, None], range_m.shape)
 
@@ -192,35 +180,20 @@ class Codec(Timing, Protocol):
     # reading
 
     @classmethod
-    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
+    def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
         """Whether a payload holds returns in this family's packets, by its size, its first bytes, its port."""
 
     @classmethod
-    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
+    def identify(cls, source: PacketSource, packets: Bytes, known: KnownSensors) -> Sensor:
         """Which of the family's known sensors sends these packets (P, size). Raises PacketError."""
 
-    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
+    def decoder(self, source: PacketSource, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
         """The decoder for a source that begins with these packets (P, size). If `trusted`, they must be the sensor's.
 
         Raises PacketError.
         """
 
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """(P,) a number for the return mode of each packet (P, size) of a source."""
-        return np.zeros(len(packets), np.int64)
-
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """The contents of packets (P, size) of one source and one number of `return_modes`.
-
-        `encode_measurements` is the inverse. Raises PacketError; ConfigError if the family cannot do this.
-        """
-        raise ConfigError(f"the packets of {type(self).__name__} cannot be converted to firings")
-
-    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        """(P, size) the packets with these contents."""
-        return self.encode(mount, measured.batch, measured.range_m, measured.reflectivity).data
-
-    def emulator(self, source: Source, packets: Bytes, site: Site) -> Emulator | None:
+    def emulator(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> Emulator | None:
         """What answers drivers as the sensor that sends these packets (P, size) does; None: this family has nothing.
 
         Raises PacketError, ConfigError for what it would have to answer with and is not there.

@@ -8,8 +8,8 @@ A maker's part is bytes in, bytes out: it opens no sockets and knows no threads.
    What is no request of the protocol raises `RequestError`: the connection is closed, the datagram is left unanswered.
    What the sensor does not have, or a capture cannot do, is answered with the sensor's own error, and said in
    `Answer.message`: a line for the terminal, printed once.
-2. `destination` says where the datagrams captured for a port go now: to `Site.target` at first, then where a driver had
-   them sent; None while the sensor does not send, which discards them.
+2. `destination` says where the datagrams captured for a port go now: to `NetworkSite.target` at first, then where a
+   driver had them sent; None while the sensor does not send, which discards them.
 3. `payload` lets counters and stamps go on when a capture is sent again and again; a family whose drivers do not mind
    has no need of it, if its class derives from `Emulator`.
 4. Override `Codec.emulator`, which makes one from the first packets of a source and the files beside the capture.
@@ -32,7 +32,7 @@ class RequestError(Exception):
 
 
 @dataclass(frozen=True)
-class Site:
+class NetworkSite:
     """The place of an emulated sensor on the network."""
 
     address: str  # its own, one of this machine's: datagrams come from it

@@ -47,7 +47,7 @@ class SensorInstance(Generic[F]):
         return self.range.resolution_m
 
 
-class Firing(Model):
+class SequenceFiring(Model):
     """When each laser fires within a firing sequence."""
 
     source: str = ""
@@ -55,7 +55,7 @@ class Firing(Model):
     sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # from one sequence to the next
 
 
-def check_firing(section: Section, firing: Firing, sensor: Sensor) -> None:
+def check_firing(section: Section, firing: SequenceFiring, sensor: Sensor) -> None:
     """Raises ConfigError unless each laser fires within the sequence, once."""
     offsets = firing.offset_ns
     key = ("firing", "offset_ns")

@@ -21,8 +21,8 @@ from lidarcfg.placement.return_counts import DetectionTarget, return_counts
 from lidarcfg.placement.slots import unused_prices
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
-from lidarcfg.requirements.file import RequirementFile
-from lidarcfg.requirements.requirements import sources
+from lidarcfg.requirements.file import entries_of
+from lidarcfg.requirements.kind import Kind
 from lidarcfg.returns.misses import SEARCH_PLACES
 from lidarcfg.sensors.rig import MountFile, RigFile
 
@@ -51,7 +51,7 @@ def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
 def requirement_warnings(path: str | Path) -> Iterator[str]:
     """Warnings about the requirements of a study's file."""
     path = example(path)
-    for one in sources(load(path, StudyFile).requirements or (), path):
+    for one in entries_of(load(path, StudyFile).requirements or (), path):
         for key, what in _turns(one.item):
             yield str(one.error(what, *key))
 
@@ -110,10 +110,10 @@ def _angles(at: Key, item: PoseBound | MountFile | None, in_degrees: bool) -> It
         yield (*at, "rpy_deg"), f"{what}, beside others that are degrees"
 
 
-def _turns(item: RequirementFile) -> Iterator[Suspect]:
+def _turns(item: Kind) -> Iterator[Suspect]:
     """Angles of a requirement that look like radians."""
-    for key in ("headings_deg", "sector_deg"):
-        turns = getattr(item, key) or ()
+    for key in type(item).model_fields:
+        turns = (getattr(item, key) or ()) if key.endswith("_deg") else ()
         in_degrees = any(abs(angle) > 2 * math.pi for angle in turns)
         suspects = [angle for angle in turns if _is_in_radians(angle, in_degrees)]
         if suspects:

@@ -21,7 +21,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.slots import Choice, Slot, slot_name
 from lidarcfg.placement.study import Study
-from lidarcfg.requirements.prices import total_price
+from lidarcfg.requirements.allowed_rigs import total_price
 
 CHANGES_MAX = 2  # sensors exchanged, added and removed
 DRAWS = 4  # of the pose of a sensor that is new

@@ -23,7 +23,7 @@ from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
 from lidarcfg.placement.visibility import seen_by_m3
 from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
-from lidarcfg.requirements.posts import PostVisibility
+from lidarcfg.requirements.post_visibility import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.misses import MissesFound

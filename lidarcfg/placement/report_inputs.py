@@ -20,8 +20,8 @@ from lidarcfg.placement.metric import max_vsr, volume_m3
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces
-from lidarcfg.requirements.posts import PostPlaces, PostVisibility, post_visibility
-from lidarcfg.requirements.verify import Verification, Verifier, evidence
+from lidarcfg.requirements.post_visibility import PostPlaces, PostVisibility, post_visibility
+from lidarcfg.requirements.verify import Verification, Verifier
 from lidarcfg.sensors.rig import Rig
 
 MOST = np.int32(2**31 - 1)
@@ -146,8 +146,8 @@ def report_inputs(
     found = replace(found, robustness=robustness(study, rig))
     verified = None
     if study.requirements and found.verdict:
-        shown = evidence(found.verifier or Verifier(study.requirements), rig.mounts, found.verdict)
-        verified = Verification(found.verdict, shown)
+        verifier = found.verifier or Verifier(study.requirements)
+        verified = verifier.verification(rig.mounts, found.verdict)
     found = replace(found, posts=_posts(study, rig))
     subspaces = found.subspaces
     vehicle = study.reference_m

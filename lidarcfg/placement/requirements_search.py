@@ -47,13 +47,12 @@ from lidarcfg.placement.solvers.search import (
 )
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_evaluator import StudyEvaluator
-from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement
+from lidarcfg.requirements.kind import Judge
 from lidarcfg.requirements.shortfalls import Draws, Shortfalls
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.known import KnownReturns
 from lidarcfg.returns.misses import SEARCH_PLACES, SEED
-from lidarcfg.returns.places import FINEST_M, FINEST_RAD
 from lidarcfg.sensors.rig import Mount
 
 Places = Mapping[int, Array]  # (n, 4) by the number of a requirement
@@ -342,13 +341,8 @@ class RequirementsRun(MissesRun):
         mounts = self._mounts(self.best_x)
         for number, judge in enumerate(self._verifier.judges):
             known = self._draws.get(number, 0)
-            if not isinstance(judge, ObjectJudge) or judge.item.at_least < 1 or known >= DRAWN_MOST:
-                continue
-            item = judge.item
-            values = judge.measured_at(item.trial_places, mounts, item.first_cap).values
-            if float(np.mean(values < item.returns)) > MANY:
-                places = item.stand.drawn(2 * known or DRAWN_FIRST, [SEED, number], at_any_heading=False)
-                found[number] = places[known:]
+            if known < DRAWN_MOST and judge.missed_share(mounts) > MANY:
+                found[number] = judge.drawn(2 * known or DRAWN_FIRST, [SEED, number])[known:]
         return Check(self._count, False, found, drawn=True) if found else None
 
     def verdict_on(self, x: Array) -> Verdict:
@@ -361,9 +355,9 @@ class RequirementsRun(MissesRun):
 
     def _checked(self) -> Check:
         """What verifying the best rig finds; at refined places only if it passes at all of the base grid."""
-        for look in (ObjectJudge.missed, ObjectJudge.missed_between):
-            if missed := self._missed(look):
-                return Check(self._count, False, missed)
+        mounts = self._mounts(self.best_x)
+        if missed := self._first(lambda one: one.missed(mounts)) or self._first(lambda one: one.missed_between(mounts)):
+            return Check(self._count, False, missed)
         found = self.verdict_on(self.best_x)
         return Check(self._count, found.passed, {} if found.passed else self._failing(found))
 
@@ -426,24 +420,18 @@ class RequirementsRun(MissesRun):
         """None: a plain rig need not meet the requirements."""
         return self._first_points[:0]
 
-    def _missed(self, look: Callable[[ObjectJudge, Sequence[Mount]], Array]) -> dict[int, Array]:
-        """Places that trials leave out and at which the best rig fails, of the first requirement that has any."""
-        mounts = self._mounts(self.best_x)
+    def _first(self, places_of: Callable[[Judge], Array]) -> dict[int, Array]:
+        """Places of the first requirement that has any."""
         for number, judge in enumerate(self._verifier.judges):
-            if isinstance(judge, ObjectJudge) and len(places := look(judge, mounts)):
+            if len(places := places_of(judge)):
                 return {number: places}
         return {}
 
     def _failing(self, found: Verdict) -> dict[int, Array]:
         """The worst places at which requirements fail, and those around, by requirement."""
-        out = {}
-        for number, (item, one) in enumerate(zip(self._requirements.items, found.requirements, strict=True)):
-            if one.passed or not isinstance(item, ObjectRequirement) or item.at_least < 1 or one.worst is None:
-                continue
-            heading = math.radians(one.worst.heading_deg or 0.0)
-            place = np.array([[one.worst.x_m, one.worst.y_m, item.stand.ground_m, heading]])
-            out[number] = np.concatenate([place, item.stand.around(place, FINEST_M, FINEST_RAD, set())])
-        return out
+        judged = enumerate(zip(self._verifier.judges, found.requirements, strict=True))
+        around = {number: judge.around(one) for number, (judge, one) in judged if not one.passed}
+        return {number: places for number, places in around.items() if len(places)}
 
     def verify_best(self) -> Verdict:
         """The verdict on the best rig, at all places; it is kept if it passes."""
@@ -474,7 +462,9 @@ class RequirementsRun(MissesRun):
             places = sum(len(one) for one in self._more_places.values())
             remarks.append(f"{places} places joined those that count in a search, as rigs failed")
         self._find_midpoint()
-        found = super().placement(interrupted, _with_reasons(self.study, verdict))
+        if not verdict.passed:
+            verdict = verdict.explained(unachievable(self.study))
+        found = super().placement(interrupted, verdict)
         objective = found.objective
         if self.study.only_required:
             objective = verdict.least_margin
@@ -482,15 +472,3 @@ class RequirementsRun(MissesRun):
             objective = self.study.cost(self.study.poses(self.best_x[None])[0])
         believed = found.believed if self._minimises else None
         return replace(found, objective=objective, believed=believed, remarks=tuple(remarks))
-
-
-def _with_reasons(study: Study, found: Verdict) -> Verdict:
-    """The verdict, with notes where no rig could do better."""
-    if found.passed:
-        return found
-    why = unachievable(study)
-    out = []
-    for one in found.requirements:
-        reason = None if one.passed else one.not_achievable or why.get(one.name)
-        out.append(replace(one, not_achievable=reason))
-    return Verdict(tuple(out))

@@ -16,11 +16,9 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.plain_rigs import plain_points
 from lidarcfg.placement.slots import Slot
 from lidarcfg.placement.study import Study
-from lidarcfg.requirements.objects import ObjectRequirement, positions, reached
-from lidarcfg.requirements.requirements import Requirements
+from lidarcfg.requirements.resolved import Requirements
 from lidarcfg.returns.known import lowest_at
 
-QUICK = 64  # places of a requirement, at which all rigs are judged at first
 BEST = 12  # rigs that are then judged at all places, if they meet all there
 LEAST = 1e-3  # the shortfall of a rig that was not judged at all places
 CAP_FACTOR = 2  # by which returns are counted beyond those demanded, so that margins are told apart
@@ -47,18 +45,8 @@ class Screen:
     def __init__(self, requirements: Requirements) -> None:
         self._count = len(requirements.items)
         self._obstacles = requirements.site.obstacles
-        self._items = {
-            n: item
-            for n, item in enumerate(requirements.items)
-            if isinstance(item, ObjectRequirement) and item.cluster_m is None
-        }
-        self._places: dict[int, Array] = {}
-        self._quick: dict[int, int] = {}  # how many of them are looked at first
-        for n, item in self._items.items():
-            places = item.trial_places
-            first = item.stand.spread(places) if item.at_least == 1 else np.zeros(len(places))
-            self._places[n] = np.ascontiguousarray(places[np.argsort(first, kind="stable")])
-            self._quick[n] = QUICK if item.at_least == 1 else len(places)
+        self._items = {n: item.sums for n, item in enumerate(requirements.items) if item.sums}
+        self._places = {n: item.in_order() for n, item in self._items.items()}
         self._known: dict[Key, dict[int, Counts]] = {}
 
     def add_places(self, places: Mapping[int, Array]) -> None:
@@ -73,7 +61,7 @@ class Screen:
         If it is to be `quick`, at a few of the places.
         """
         poses = study.poses(points) + 0.0
-        places = {n: self._places[n][: self._quick[n] if quick else None] for n in self._items}
+        places = {n: self._places[n][: item.quick if quick else None] for n, item in self._items.items()}
         self._cast(study, poses, places)
         worst = np.full(len(poses), -math.inf if self._items else 0.0)
         shortfalls = np.zeros((len(poses), self._count))
@@ -81,7 +69,7 @@ class Screen:
             keys = [_key(slot, pose) for slot, pose in zip(study.slots, row, strict=True)]
             for n, item in self._items.items():
                 counts = np.stack([self._known[key][n][: len(places[n])] for key in keys], axis=1)
-                short = _short(item, places[n], counts)
+                short = item.short(places[n], counts)
                 worst[rig] = max(worst[rig], short.max())
                 shortfalls[rig, n] = np.maximum(short, 0).mean()
         return Screened(worst, shortfalls)
@@ -135,15 +123,6 @@ class Screen:
                 for key, column in zip(found, counts.T, strict=True):
                     known = self._known.setdefault(key, {})
                     known[n] = np.concatenate([known.get(n, np.empty(0, np.int32)), column])
-
-
-def _short(item: ObjectRequirement, places: Array, counts: Counts) -> Array:
-    """(places,) the relative shortfalls, with the sensors lost whose loss is the worst; of a fraction the best."""
-    got = reached(counts, item.lost, item.sensors)
-    if item.at_least < 1:
-        by_position = np.sort(positions(places, got)[1])[::-1]
-        got = by_position[: math.ceil(item.at_least * len(by_position) - 1e-9)]
-    return np.asarray(1 - got / item.returns)
 
 
 def _key(slot: Slot, pose: Array) -> Key:

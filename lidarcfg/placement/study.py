@@ -45,7 +45,10 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
-from lidarcfg.requirements.requirements import Requirements, Site, Source, resolved, sources
+from lidarcfg.requirements.context import Context, VehicleSite
+from lidarcfg.requirements.file import entries_of
+from lidarcfg.requirements.kind import Entry
+from lidarcfg.requirements.resolved import Requirements, resolved
 from lidarcfg.requirements.robustness import Robust, mounted
 from lidarcfg.returns.known import KnownReturns
 from lidarcfg.returns.misses import Misses, MissesFile
@@ -348,7 +351,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
         with errors_at(path, "robust", "lost"):
             file.robust.check(len(slots.slots))
     detection_targets = _detection_targets(file, region, path)
-    found = sources(file.requirements or (), path)
+    found = entries_of(file.requirements or (), path)
     seen = _visibility(file, region, bodies, surroundings)
     only_required = False
     if "objective" not in file.model_fields_set:
@@ -449,7 +452,7 @@ def _misses(
 
 def _requirements(
     file: StudyFile,
-    found: Sequence[Source],
+    found: Sequence[Entry],
     slots: Slots,
     region: Region,
     bodies: Vehicle | None,
@@ -464,12 +467,12 @@ def _requirements(
     models = [choice.model for slot in slots.slots for choice in slot.choices if choice] or [
         slot.model or "" for slot in slots.slots
     ]
-    site = Site.of(bodies, obstacles, ground_m, slots.boxes_m)
-    return resolved(found, site, file.robust, prices, len(slots.slots), models)
+    site = VehicleSite.of(bodies, obstacles, ground_m, slots.boxes_m)
+    return resolved(found, Context(site, file.robust, prices, len(slots.slots), models))
 
 
 def _resolved(
-    file: StudyFile, found: Sequence[Source], slots: tuple[Slot, ...], choices: list[Choices], path: Path
+    file: StudyFile, found: Sequence[Entry], slots: tuple[Slot, ...], choices: list[Choices], path: Path
 ) -> dict[str, Any]:
     """The file's values with defaults filled in, and with the paths of models and other files resolved."""
     values = whole_values(file, path.parent)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import singledispatch
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -23,11 +24,12 @@ from lidarcfg.report.canvas import (
 )
 from lidarcfg.report.describe import counted
 from lidarcfg.report.scenario import draw_scenario_on, scenario_rows
-from lidarcfg.requirements.objects import PlaceCounts
-from lidarcfg.requirements.posts import STEP_M as POST_STEP_M
-from lidarcfg.requirements.posts import PostVisibility
+from lidarcfg.requirements.evidence import Evidence, SensorView
+from lidarcfg.requirements.place_counts import PlaceCounts
+from lidarcfg.requirements.post_visibility import STEP_M as POST_STEP_M
+from lidarcfg.requirements.post_visibility import PostVisibility
+from lidarcfg.requirements.shadow import HiddenColumns
 from lidarcfg.requirements.verdict import RequirementVerdict
-from lidarcfg.requirements.verify import Evidence, HiddenColumns, SensorView
 from lidarcfg.returns.beams import Outcome
 from lidarcfg.returns.places import Zone
 from lidarcfg.sensors.rig import Rig
@@ -62,7 +64,8 @@ BEAMS = {  # as they are drawn: colour, size, mark, words
 
 def draw_map(evidence: Evidence, rig: Rig, number: int) -> Markup | None:
     """A requirement's map around the vehicle; None if it has none. `number` tells it from others of the page."""
-    if not evidence.has_map:
+    seen = evidence.map
+    if seen is None:
         return None
     low, high = _window(evidence, rig)
     width, height = high - low
@@ -70,12 +73,7 @@ def draw_map(evidence: Evidence, rig: Rig, number: int) -> Markup | None:
 
     def draw(figure: "Figure") -> None:
         axes = figure.subplots()
-        if evidence.counts:
-            _draw_counts(figure, axes, evidence.counts)
-        elif evidence.posts:
-            draw_posts(axes, evidence.posts)
-        elif evidence.hidden:
-            _draw_hidden(figure, axes, evidence.hidden)
+        draw_mapped(seen, figure, axes)
         if evidence.zone:
             _draw_zone(axes, evidence.zone)
         draw_body(axes, evidence.body)
@@ -101,16 +99,24 @@ def _window(evidence: Evidence, rig: Rig) -> tuple[Array, Array]:
         parts += evidence.body.outlines_m
     if evidence.zone and evidence.zone.box_m is not None:
         parts.append(np.array(evidence.zone.box_m))
-    if evidence.counts:
-        parts.append(evidence.counts.at_m)
-    if evidence.posts:
-        parts.append(evidence.posts.places.places[evidence.posts.places.counts][:, :2])
-    if evidence.hidden:
-        parts.append(evidence.hidden.at_m)
+    if evidence.map:
+        parts.append(evidence.map.at_m)
     if evidence.verdict.worst:
         parts.append(np.array([[evidence.verdict.worst.x_m, evidence.verdict.worst.y_m]]))
     points = np.concatenate(parts)
     return points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
+
+
+@singledispatch
+def draw_mapped(seen: object, figure: "Figure", axes: "Axes") -> None:
+    """What a map shows, by its type."""
+    raise TypeError(type(seen).__name__)
+
+
+@singledispatch
+def caption_of(seen: object) -> str:
+    """A sentence on what a map shows, by its type."""
+    raise TypeError(type(seen).__name__)
 
 
 def _returns_colours(demanded: int) -> "tuple[Colormap, Normalize]":
@@ -122,7 +128,14 @@ def _returns_colours(demanded: int) -> "tuple[Colormap, Normalize]":
     return ListedColormap(np.concatenate(both)), TwoSlopeNorm(demanded - 0.5, 0, 2 * demanded)
 
 
-def _draw_counts(figure: "Figure", axes: "Axes", counts: PlaceCounts) -> None:
+@caption_of.register(PlaceCounts)
+def _(counts: PlaceCounts) -> str:
+    positions = counted(len(counts.at_m), "position")
+    return f"The returns at the {positions} of the base grid, each at its worst heading; dashed, the zone's edge."
+
+
+@draw_mapped.register(PlaceCounts)
+def _(counts: PlaceCounts, figure: "Figure", axes: "Axes") -> None:
     """A square for each position, as large as the grid's spacing there."""
     from matplotlib.collections import PolyCollection
 
@@ -140,6 +153,16 @@ def _draw_counts(figure: "Figure", axes: "Axes", counts: PlaceCounts) -> None:
     bar.set_ticks(
         ticks, labels=[f"{n}{' demanded' * (n == counts.demanded)}{' or more' * (n == ticks[-1])}" for n in ticks]
     )
+
+
+@caption_of.register(PostVisibility)
+def _(posts: PostVisibility) -> str:
+    return f"Where a post 0.1 m wide and {posts.height_m:g} m high is seen in the worst phase, along each azimuth."
+
+
+@draw_mapped.register(PostVisibility)
+def _(posts: PostVisibility, figure: "Figure", axes: "Axes") -> None:
+    draw_posts(axes, posts)
 
 
 def draw_posts(axes: "Axes", posts: PostVisibility, legend: bool = True) -> None:
@@ -177,7 +200,13 @@ def _wedges(posts: PostVisibility) -> list[tuple[Array, int]]:
     return out
 
 
-def _draw_hidden(figure: "Figure", axes: "Axes", hidden: HiddenColumns) -> None:
+@caption_of.register(HiddenColumns)
+def _(hidden: HiddenColumns) -> str:
+    return "The height above each point that the bodies hide from all sensors."
+
+
+@draw_mapped.register(HiddenColumns)
+def _(hidden: HiddenColumns, figure: "Figure", axes: "Axes") -> None:
     """The hidden height above each point."""
     low = hidden.at_m.min(axis=0)
     cell = np.rint((hidden.at_m - low) / hidden.side_m).astype(int)
@@ -296,8 +325,8 @@ def _legend(figure: "Figure", views: Sequence[SensorView]) -> None:
 
 
 def draw_frames(evidence: Evidence, number: int) -> Markup | None:
-    """A scenario's returns over time; None for other kinds."""
-    found = evidence.scenario
+    """A requirement's returns over time; None if it has none."""
+    found = evidence.frames
     if found is None:
         return None
     name = label(evidence.verdict.name)
@@ -308,17 +337,11 @@ def draw_frames(evidence: Evidence, number: int) -> Markup | None:
 
 
 def map_caption(evidence: Evidence) -> str:
-    """What a map shows, in words."""
+    """What a map shows, in words; none without a map."""
+    if evidence.map is None:
+        return ""
     one = evidence.verdict
     ring = " The ring is the worst place" if one.worst else ""
     if ring and one.worst and one.worst.heading_deg is not None:
         ring += ", the arrow the object's heading there"
-    if evidence.counts:
-        positions = counted(len(evidence.counts.at_m), "position")
-        what = f"The returns at the {positions} of the base grid, each at its worst heading; dashed, the zone's edge."
-    elif evidence.posts:
-        height = f"{evidence.posts.height_m:g} m"
-        what = f"Where a post 0.1 m wide and {height} high is seen in the worst phase, along each azimuth."
-    else:
-        what = "The height above each point that the bodies hide from all sensors."
-    return f"{what}{ring}{'.' if ring else ''}"
+    return f"{caption_of(evidence.map)}{ring}{'.' if ring else ''}"

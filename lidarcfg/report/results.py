@@ -27,7 +27,7 @@ from lidarcfg.placement.study_file import BUDGETS, COORDINATES
 from lidarcfg.report.document import Baseline, ChoicePart, Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.report.verification import verdict_page
-from lidarcfg.requirements.posts import PostVisibility
+from lidarcfg.requirements.post_visibility import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verification
 from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig

@@ -17,8 +17,8 @@ from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
 from lidarcfg.report.describe import counted
-from lidarcfg.requirements.requirements import load_requirements
-from lidarcfg.requirements.scenario import scenario_in
+from lidarcfg.requirements.file import load_requirements
+from lidarcfg.requirements.scenario_file import scenario_in
 from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.world.motion import load_path

@@ -1,5 +1,5 @@
-from .requirements import Requirements as Requirements
-from .requirements import load_requirements as load_requirements
+from .file import load_requirements as load_requirements
+from .resolved import Requirements as Requirements
 from .robustness import Robust as Robust
 from .verdict import RequirementVerdict as RequirementVerdict
 from .verdict import Verdict as Verdict

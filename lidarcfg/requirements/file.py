@@ -1,166 +1,131 @@
-"""What a rig must see, as files say it: the requirements of a study, or of a file of their own that studies share."""
+"""Requirements in files: those of a study, or of a file of their own that studies share.
 
-import os
+A requirement is of the kind whose key it has.
+"""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, SerializationInfo, model_validator
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
-from lidarcfg.config.models import (
-    COORDINATE_MAX_M,
-    FileName,
-    Model,
-    Name,
-    Position,
-    check_names,
-    validation_error,
-)
+from lidarcfg.config.document import Key
+from lidarcfg.config.models import FileName, Model, as_model, check_names, error_at, errors_at, load, validation_error
 from lidarcfg.files import example
-from lidarcfg.requirements.braking import BrakingOrName
-from lidarcfg.returns.places import Distances, Heading, Sector, ascending
-from lidarcfg.returns.target import SIZE_MAX_M, ObjectOrName
-from lidarcfg.sensors.rig import SENSORS_MAX, Distance, one_of
-
-HEADINGS_DEG = tuple(float(heading) for heading in range(0, 360, 45))
-SPEED_MAX_KM_H = 300.0
-PRICE_MAX = 1e12
-
-Speed = Annotated[float, Field(gt=0, le=SPEED_MAX_KM_H)]
-Height = Annotated[float, Field(gt=0, le=SIZE_MAX_M)]
+from lidarcfg.requirements.kind import Entry, Item, Kind
+from lidarcfg.requirements.kinds import KINDS
 
 
-Heights = Annotated[
-    tuple[Annotated[float, Field(ge=0, le=SIZE_MAX_M)], Height], AfterValidator(ascending)
-]  # least, greatest
+class SharedFile(Item):
+    """The name of a file with requirements."""
+
+    file: FileName
+
+    def entries(self, path: Path, at: Key) -> tuple[Entry, ...]:
+        """Those in the file."""
+        with errors_at(path, *at):
+            return _in_file(example(path.parent / self.file))
 
 
-class BoxFile(Model):
-    """A box in the vehicle frame that wholly contains the object."""
-
-    min_m: Position
-    max_m: Position
-
-    @model_validator(mode="after")
-    def _check(self) -> "BoxFile":
-        for axis, (low, high) in enumerate(zip(self.min_m, self.max_m, strict=True)):
-            if not low < high:
-                raise validation_error(f"{high:g} is not above min_m's {low:g}", "max_m", axis)
-        return self
-
-
-def _scenario_from(name: str, info: SerializationInfo) -> str:
-    """A scenario's name as it is, or the absolute path of its file, which a file in the context's folder names."""
-    folder: Path | None = info.context
-    return name if folder is None or not Path(name).suffix else os.path.realpath(example(folder / name))
+def _kind(values: Any) -> Kind:
+    """A validator: the requirement, of the kind whose key its values have."""
+    if not isinstance(values, Mapping):
+        raise PydanticKnownError("model_type", {"class_name": "requirement"})
+    given = {key: value for key, value in values.items() if value is not None}
+    if "file" in given:
+        raise validation_error("is for studies; write the requirements here", "file")
+    keys = [key for key in KINDS if key in given] or [_meant(given)]
+    if len(keys) > 1:
+        raise validation_error(f"conflicts with {keys[0]}; make it a requirement of its own", keys[1])
+    kind = KINDS[keys[0]]
+    own = {name: value for name, value in given.items() if name in kind.model_fields or not _owners(name)}
+    goes = [(name, " or ".join(_owners(name))) for name in given if name not in own]
+    faults = [validation_error(f"does not go with {keys[0]}; it goes with {owners}", name) for name, owners in goes]
+    return as_model(kind, own, faults)
 
 
-ScenarioName = Annotated[str, Field(min_length=1), PlainSerializer(_scenario_from)]  # a preset, or a file's path
+def _owners(name: str) -> list[str]:
+    """The kinds that have a key."""
+    return [key for key, kind in KINDS.items() if name in kind.model_fields]
 
 
-def _of_file(value: Any) -> Any:
-    return {"file": value} if isinstance(value, str) else value
+def _meant(given: Mapping[str, Any]) -> str:
+    """The key of the kind that values without one are meant to be of. Raises a fault if that is not clear."""
+    unknown = [name for name in given if not _owners(name)]
+    for name in unknown:
+        if close := difflib.get_close_matches(name, KINDS, 1):
+            return close[0]
+    if unknown:
+        raise validation_error(f"unknown key; a requirement has one of {', '.join(KINDS)}", unknown[0])
+    raise validation_error(f"asks for nothing; give one of {', '.join(KINDS)}")
 
 
-KINDS = {  # of requirements, by the key that only they have: the other keys that go with it
-    "object": (
-        *("returns", "cluster_m", "sensors", "within_m", "sector_deg", "region", "headings_deg", "at_least"),
-        *("step_m", "lost"),
-    ),
-    "post_height_m": ("first_seen_at_most_m", "gap_at_most_m", "within_m", "sector_deg", "lost"),
-    "shadow_at_most_m3": ("height_m", "within_m", "lost"),
-    "scenario": ("speeds_km_h", "target", "returns", "cluster_m", "braking", "lost"),
-    "price_at_most": (),
-    "sensors_at_most": (),
-}
+def _item(values: Any) -> Item:
+    """A validator: a requirement, or a file with some; a text is its name."""
+    if isinstance(values, str):
+        values = {"file": values}
+    if not isinstance(values, Mapping) or values.get("file") is None:
+        return _kind(values)
+    others = [name for name, value in values.items() if value is not None and name != "file"]
+    if others:
+        raise validation_error("conflicts with file; a file has all keys of its requirements", others[0])
+    return as_model(SharedFile, {"file": values["file"]})
 
 
-class RequirementFile(Model):
-    """A requirement, of the kind that its key in KINDS says; or the name of a file with a list of them."""
+@dataclass(frozen=True)
+class _FromTable:
+    """How pydantic reads an item: as of the kinds that the table has then."""
 
-    file: FileName | None = None  # instead of all other keys
-    name: Name = ""
-    # An object gets its returns wherever it stands in a zone.
-    object: ObjectOrName | None = None
-    returns: Annotated[int, Field(ge=1, le=1_000_000)] | None = None  # in one revolution, in the worst phase
-    cluster_m: Annotated[float, Field(gt=0, le=10)] | None = None  # they are of one cluster with this tolerance
-    sensors: Annotated[int, Field(ge=1, le=SENSORS_MAX)] | None = None  # the number that get them, each alone
-    within_m: Distances | None = None  # between the object and the body
-    sector_deg: Sector | None = None  # from, to, counter-clockwise from ahead
-    region: BoxFile | None = None  # instead of within_m
-    headings_deg: Annotated[tuple[Heading, ...], Field(min_length=1, max_length=360)] | None = None
-    at_least: Annotated[float, Field(gt=0, le=1)] | None = None  # fraction of places
-    step_m: Annotated[float, Field(ge=0.02, le=COORDINATE_MAX_M)] | None = None  # of places, at most
-    # A post is seen near the body, and beyond that without long gaps.
-    post_height_m: Height | None = None
-    first_seen_at_most_m: Distance | None = None  # from the body
-    gap_at_most_m: Distance | None = None
-    # The bodies hide little from all sensors.
-    shadow_at_most_m3: Annotated[float, Field(ge=0)] | None = None
-    height_m: Heights | None = None  # above the ground
-    # A moving target is seen in time to brake.
-    scenario: ScenarioName | None = None
-    speeds_km_h: Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)] | None = None
-    target: ObjectOrName | None = None  # instead of the scenario's
-    braking: BrakingOrName | None = None  # none: an emergency's
-    # What a rig costs.
-    price_at_most: Annotated[float, Field(gt=0, le=PRICE_MAX)] | None = None
-    sensors_at_most: Annotated[int, Field(ge=1, le=SENSORS_MAX)] | None = None
+    takes_files: bool
 
-    lost: Annotated[int, Field(ge=0, le=SENSORS_MAX)] | None = None  # sensors that fail; none: as `robust` says
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(_item if self.takes_files else _kind)
 
-    @model_validator(mode="after")
-    def _check(self) -> "RequirementFile":
-        given = [key for key in type(self).model_fields if getattr(self, key) not in (None, "")]
-        if self.file is not None:
-            if len(given) > 1:
-                raise validation_error("conflicts with file; a file has all keys of its requirements", given[1])
-            return self
-        kinds = [key for key in KINDS if key in given]
-        if not kinds:
-            raise validation_error(f"asks for nothing; give one of {', '.join(KINDS)}")
-        if len(kinds) > 1:
-            raise validation_error(f"conflicts with {kinds[0]}; make it a requirement of its own", kinds[1])
-        for key in given:
-            if key not in ("name", *kinds, *KINDS[kinds[0]]):
-                owners = [kind for kind, keys in KINDS.items() if key in keys]
-                raise validation_error(f"does not go with {kinds[0]}; it goes with {' or '.join(owners)}", key)
-        if not self.name:
-            raise validation_error("missing", "name")
-        {"object": self._check_object, "post_height_m": self._check_post}.get(kinds[0], lambda: None)()
-        return self
-
-    def _check_object(self) -> None:
-        if self.returns is None:
-            raise validation_error("missing", "returns")
-        one_of(self, "within_m", "region")
-        if self.sector_deg and not self.within_m:
-            raise validation_error("goes with within_m, not with region", "sector_deg")
-
-    def _check_post(self) -> None:
-        if self.first_seen_at_most_m is None and self.gap_at_most_m is None:
-            raise validation_error("asks for nothing; give first_seen_at_most_m, gap_at_most_m, or both")
-
-    @property
-    def marker(self) -> str:
-        """The key in KINDS that says of which kind it is."""
-        return next(key for key in KINDS if getattr(self, key) is not None)
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        types = [*KINDS.values(), *((SharedFile, str) if self.takes_files else ())]
+        return {"anyOf": [handler(TypeAdapter(one).core_schema) for one in types]}
 
 
-RequirementOrFile = Annotated[
-    RequirementFile, BeforeValidator(_of_file, json_schema_input_type=RequirementFile | str)
-]  # a text: a file
+AnyRequirement = Annotated[Kind, _FromTable(takes_files=False)]
+RequirementOrFile = Annotated[Item, _FromTable(takes_files=True)]
 
 
 class RequirementsFile(Model):
     """Requirements that several studies share."""
 
     kind: ClassVar[str] = "requirements"
-    requirements: Annotated[tuple[RequirementFile, ...], Field(min_length=1)]
+    requirements: Annotated[tuple[AnyRequirement, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _check(self) -> "RequirementsFile":
         check_names((item.name for item in self.requirements), "a requirement", "requirements")
-        for i, item in enumerate(self.requirements):
-            if item.file is not None:
-                raise validation_error("is for studies; write the requirements here", "requirements", i, "file")
         return self
+
+
+def entries_of(items: Sequence[Item], path: Path) -> tuple[Entry, ...]:
+    """The requirements of a study's file, with those of the files that it names. Raises ConfigError."""
+    out: list[Entry] = []
+    for i, item in enumerate(items):
+        at: Key = "requirements", i
+        for one in item.entries(path, at):
+            if one.item.name in (other.item.name for other in out):
+                what = f"{one.item.name!r} is a requirement already; each name may be given once"
+                raise error_at(path, (*at, "name"), what)
+            out.append(one)
+    return tuple(out)
+
+
+def load_requirements(path: str | Path) -> tuple[Entry, ...]:
+    """The requirements in a file of their own; what they name is read. Raises ConfigError with file, line and key."""
+    found = _in_file(example(path))
+    for one in found:
+        one.item.read(one)
+    return found
+
+
+def _in_file(path: Path) -> tuple[Entry, ...]:
+    return entries_of(load(path, RequirementsFile).requirements, path)

@@ -4,114 +4,31 @@ A verdict judges at all places of the base grid and at refined ones. A search's 
 as soon as a bound of the shortfall says that a trial has lost, no further.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Protocol
-
-import numpy as np
+from collections.abc import Mapping, Sequence
 
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement
-from lidarcfg.requirements.posts import PostJudge, PostRequirement
-from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
-from lidarcfg.requirements.requirements import Requirements
-from lidarcfg.requirements.scenario_requirement import ScenarioRequirement
-from lidarcfg.requirements.shadow import ShadowJudge, ShadowRequirement
-from lidarcfg.requirements.trial_rig import TrialRig
-from lidarcfg.requirements.verdict import RequirementVerdict
-from lidarcfg.returns.counts import OnPlaces, no_progress
-from lidarcfg.returns.known import KnownReturns, Share, Standing, shares
+from lidarcfg.requirements.kind import NO_PLACES, Judge
+from lidarcfg.requirements.resolved import Requirements
+from lidarcfg.returns.known import KnownReturns, shares
 from lidarcfg.sensors.rig import Mount
 
 
-class Judge(Protocol):
-    """Judges rigs by one requirement."""
-
-    is_slow: bool  # as frames are fired, which takes seconds
-
-    @property
-    def work(self) -> int:
-        """The number of places at which rigs are measured, for progress."""
-
-    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
-        """The verdict on a rig."""
-
-    def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:
-        """Ever greater lower bounds of a rig's shortfall; the last one is exact. Without `stops` only that."""
-
-    def learn(self) -> None:
-        """Called after every batch of trials, so that later ones use its findings."""
-
-
-class WholeJudge:
-    """Judges by a requirement that has no bounds: a price, the number of sensors, a scenario."""
-
-    def __init__(self, item: ScenarioRequirement | PriceRequirement | SensorsRequirement) -> None:
-        self.item = item
-        self.is_slow = isinstance(item, ScenarioRequirement)
-
-    @property
-    def work(self) -> int:
-        """The number of places that would take as long, for progress."""
-        return self.item.work
-
-    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
-        """The verdict on a rig."""
-        return self.item.judge(mounts, on_places)
-
-    def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:
-        """The shortfall; 0 before, as a bound."""
-        if stops:
-            yield 0.0
-        yield self.item.judge(rig.mounts).shortfall
-
-    def learn(self) -> None:
-        """Learns nothing."""
-
-
-Judges = tuple[ObjectJudge | PostJudge | ShadowJudge | WholeJudge, ...]
-
-
 def judges(
-    requirements: Requirements, places: Mapping[int, Array] | None = None, mounts: Sequence[Mount] = ()
-) -> tuple[Judges, KnownReturns | None]:
+    requirements: Requirements, mounts: Sequence[Mount] = (), more_in_trials: Mapping[int, Array] | None = None
+) -> tuple[tuple[Judge, ...], KnownReturns | None]:
     """A judge for each requirement, and the returns that they know together; None if none of them counts returns.
 
-    Those of objects judge at the base grid, or by number of the requirement at other `places` (P, 4). `mounts`, if
-    given, are those of later rigs. Raises ConfigError if one cannot be simulated.
+    `mounts`, if given, are those of later rigs. With `more_in_trials` they judge where trials are judged; it has places
+    (n, 4) that joined these, by number of the requirement. Raises ConfigError if a mount cannot be simulated.
     """
-    standing: dict[int, Standing] = {}
+    standing = {}
     for number, item in enumerate(requirements.items):
-        if isinstance(item, ObjectRequirement):
-            standing[number] = Standing(item.target, item.stand.base if places is None else places[number])
-        elif isinstance(item, PostRequirement):
-            standing[number] = Standing(item.target, item.posts.counted)
-    obstacles = requirements.site.obstacles
-    shared: dict[int, Share] = {}
-    if standing:
-        shared = dict(zip(standing, shares(list(standing.values()), obstacles, mounts), strict=True))
-    found: list[ObjectJudge | PostJudge | ShadowJudge | WholeJudge] = []
-    for number, item in enumerate(requirements.items):
-        match item:
-            case ObjectRequirement():
-                found.append(ObjectJudge(item, obstacles, requirements.robust, shared[number]))
-            case PostRequirement():
-                found.append(PostJudge(item, shared[number]))
-            case ShadowRequirement():
-                found.append(ShadowJudge(item))
-            case _:
-                found.append(WholeJudge(item))
-    known = next((one.known for one in shared.values()), None)
-    return tuple(found), known
-
-
-def trial_places(requirements: Requirements, more: Mapping[int, Array]) -> dict[int, Array]:
-    """By number of each object's requirement: the places (P, 4) at which the trials of a search are judged.
-
-    At first some of a large grid, spread over it; `more` places (n, 4) of some count like these.
-    """
-    found = {}
-    for number, item in enumerate(requirements.items):
-        if isinstance(item, ObjectRequirement):
-            own = item.trial_places
-            found[number] = np.concatenate([own, more[number]]) if number in more else own
-    return found
+        one = item.standing
+        if more_in_trials is not None:
+            one = item.standing_in_trials(more_in_trials.get(number, NO_PLACES))
+        if one is not None:
+            standing[number] = one
+    known = shares(list(standing.values()), requirements.site.obstacles, mounts) if standing else []
+    of_item = dict(zip(standing, known, strict=True))
+    found = tuple(item.judge_with(of_item.get(number)) for number, item in enumerate(requirements.items))
+    return found, known[0].known if known else None

@@ -6,10 +6,10 @@ by another about its own x, y and z axes. The draws are the same for every trial
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ CASES_MAX = 1000  # rigs that may be left, and draws
 SAMPLES = 16  # unless the study says otherwise
 QUANTILE = 0.9  # unless the study says otherwise
 SEED = 20180913  # of the draws; combined with the LiDAR's number
+T = TypeVar("T")
 SIGMAS = ("position_sigma_m", "angle_sigma_deg")
 
 
@@ -66,6 +67,10 @@ class Robust(Model):
     def spare(self) -> int:
         """The number of draws that may be worse than the quantile."""
         return self.drawn - max(math.ceil((self.quantile or 1.0) * self.drawn - 1e-9), 1)
+
+    def quantile_of(self, draws: Sequence[T], goodness: Callable[[T], float]) -> T:
+        """The one among the results of all draws that is as good as the quantile asks for."""
+        return sorted(draws, key=lambda one: -goodness(one))[self.drawn - 1 - self.spare]
 
     def check(self, lidars: int) -> None:
         """Raises ConfigError unless fewer LiDARs are to be lost than there are."""
@@ -117,3 +122,10 @@ def misplaced(mounts: Sequence[Mount], errors: Array) -> tuple[Mount, ...]:
         replace(mount, position_m=tuple(row[:3]), rpy_rad=tuple(row[3:]))
         for mount, row in zip(mounts, off, strict=True)
     )
+
+
+def cases(sensors: int, lost: int) -> list[list[int]]:
+    """The sensors that are left: all of them, then those of each case of failure."""
+    whole = list(range(sensors))
+    ways = combinations(whole, lost) if lost else ()
+    return [whole, *([n for n in whole if n not in gone] for gone in ways)]

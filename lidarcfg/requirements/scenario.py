@@ -1,383 +1,229 @@
-"""Scenarios: a vehicle and a target on their way to an impact, past parked cars, as files say it; and their geometry.
+"""Scenarios: a moving target is detected in time to brake."""
 
-The vehicle drives straight at constant speed. A target that crosses is hit where its middle reaches the line on which
-it walks; one that moves the same way, or stands, where the vehicle reaches its nearer end. Traffic keeps right, so the
-near side is the vehicle's right. The world is the vehicle frame at the start of a run.
-"""
-
-import math
-import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PlainSerializer, SerializationInfo
 
-from lidarcfg.config.models import Model, Name, check_names, errors_at, load
-from lidarcfg.config.models import validation_error as fault
+from lidarcfg.config.models import path_from
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import example, shipped
-from lidarcfg.geometry import Array, pose, transform
-from lidarcfg.requirements.file import SPEED_MAX_KM_H, Speed
-from lidarcfg.returns.target import ObjectFile, ObjectOrName, Size, Target, shipped_objects, target_of
-from lidarcfg.world.motion import Motion, TimedPose, Trajectory, build_path
-from lidarcfg.world.scene import Scene, build_scene
-from lidarcfg.world.scene_file import Box, Ground, MeshFile, SceneFile
+from lidarcfg.requirements.approach import VehicleExtent
+from lidarcfg.requirements.braking import EMERGENCY, Braking, BrakingOrName
+from lidarcfg.requirements.context import Context
+from lidarcfg.requirements.evidence import Evidence
+from lidarcfg.requirements.kind import Clusters, Entry, Judge, Kind, Lost, Requirement, Returns
+from lidarcfg.requirements.scenario_file import Scenario, Speeds, load_scenario
+from lidarcfg.requirements.scenario_run import (
+    NO_SPEEDS,
+    RETURNS,
+    Rule,
+    ScenarioCase,
+    ScenarioResult,
+    approach_of,
+    check_scenario,
+)
+from lidarcfg.requirements.sight import Bounds
+from lidarcfg.requirements.verdict import RequirementVerdict, WorstPlace
+from lidarcfg.requirements.zone import body_of
+from lidarcfg.returns.counts import OnPlaces, no_progress
+from lidarcfg.returns.known import Share
+from lidarcfg.returns.target import ObjectOrName
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.vehicle import Vehicle
 
-KM_H = 1 / 3.6  # in m/s
-BEFORE_IMPACT_S = 6.0
-AFTER_IMPACT_S = 1.0  # the target's motion goes on for this long
-GAIN_POSES = 32  # timed poses while a target gains speed
-TARGET = "target"  # its name in a scene
-GROUND_REFLECTIVITY = 15  # of asphalt, a guess; returns do not depend on it
-REFLECTIVITY = 20  # of everything else, likewise
-ACROSS_DEG = 90.0
-NO_BODY = "a scenario needs the vehicle's body, whose front reaches the target; give vehicle"
-
-Speeds = Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]
-Walk = Annotated[float, Field(ge=0, le=SPEED_MAX_KM_H)]
-Length = Annotated[float, Field(ge=0, le=1000)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Fractions = Annotated[tuple[Fraction, ...], Field(min_length=1, max_length=100)]
-Side = Literal["right", "left"]
+PLACES_PER_CASE = 2000  # whose returns take about as long to count as the runs at a speed and an impact
 
 
-class PathFile(Model):
-    """How the target moves: across the vehicle's path, or along it, the same way as the vehicle."""
-
-    speed_km_h: Walk = 0.0  # 0: it stands
-    crosses_from: Side | None = None  # of the vehicle; none: it moves along the vehicle's path
-    start_m: Length | None = None  # beside the middle of the vehicle's path; none: it has been walking for long
-    gain_m: Length = 0.0  # in which it gains its speed, evenly
-
-    @model_validator(mode="after")
-    def _check(self) -> "PathFile":
-        for key in ("start_m", "gain_m"):
-            if getattr(self, key) and self.crosses_from is None:
-                raise fault("is for targets that cross; give crosses_from", key)
-        if self.crosses_from and not self.speed_km_h:
-            raise fault("missing; a target that crosses moves", "speed_km_h")
-        if self.gain_m and self.start_m is None:
-            raise fault("needs start_m, from which the target gains its speed", "gain_m")
-        return self
+def _scenario_from(name: str, info: SerializationInfo) -> str:
+    """A preset's name as it is, or the path of a file as of all that files name."""
+    return path_from(name, info) if Path(name).suffix else name
 
 
-class CarFile(Model):
-    """A parked car, a box that faces the way that the vehicle drives."""
+class ScenarioKind(Kind):
+    """A moving target is seen in time to brake."""
 
-    name: Name
-    size_m: tuple[Size, Size, Size]  # length, width, height
-    beside_m: Length  # between the sides of the vehicle and of the car
-    before_m: Annotated[float, Field(ge=-1000, le=1000)]  # from its front to the target's nearer side at the impact
-    side: Side = "right"
+    key: ClassVar[str] = "scenario"
+    scenario: Annotated[
+        str,
+        Field(min_length=1, description="a preset's name, or the file of a scenario"),
+        PlainSerializer(_scenario_from),
+    ]
+    speeds_km_h: Annotated[
+        Speeds | None, Field(description="of the vehicle; by default as the scenario's file says")
+    ] = None
+    target: Annotated[ObjectOrName | None, Field(description="an object that takes the place of the scenario's")] = None
+    braking: Annotated[
+        BrakingOrName | None, Field(description="`emergency`, `comfort`, or keys and values; `emergency` by default")
+    ] = None
+    returns: Annotated[Returns | None, Field(description="of the target in a frame; 10 by default")] = None
+    cluster_m: Clusters = None
+    lost: Lost = None
 
-
-class ScenarioFile(Model):
-    """A scenario's file."""
-
-    kind: ClassVar[str] = "scenario"
-    name: Name
-    about: str = ""
-    source: str = ""  # of its figures, and which of them have been read there
-    unverified: str = ""  # what has not
-    speeds_km_h: Speeds | None = None  # of the vehicle; none: whoever uses it says
-    backwards: bool = False  # the vehicle reverses
-    before_impact_s: Annotated[float, Field(gt=0, le=120)] | None = None  # when a run starts; none: 6
-    from_m: Annotated[float, Field(gt=0, le=5000)] | None = None  # or how far the vehicle then is from the impact
-    target: ObjectOrName
-    path: PathFile = PathFile()
-    impacts: Fractions = (0.5,)  # where across the vehicle's front, as a fraction of its width from its right side
-    cars: tuple[CarFile, ...] = ()
-
-    @model_validator(mode="after")
-    def _check(self) -> "ScenarioFile":
-        check_names((car.name for car in self.cars), "a car", "cars")
-        if self.before_impact_s is not None and self.from_m is not None:
-            raise fault("conflicts with before_impact_s; give only one of them", "from_m")
-        for i, car in enumerate(self.cars):
-            if car.name in (TARGET, "ground"):
-                raise fault(f"{car.name!r} is taken; call the car otherwise", "cars", i, "name")
-        return self
+    def resolve(self, entry: Entry, context: Context) -> "ScenarioRequirement":
+        """The requirement of a study. Raises ConfigError with file, line and key."""
+        lost = entry.lost(self.lost, context)
+        site = context.site
+        body_of(entry, site)
+        assert site.vehicle
+        with entry.errors_at("scenario"):
+            scenario = load_scenario(self.scenario, entry.path.parent, self.target)
+            speeds_km_h = self.speeds_km_h or scenario.file.speeds_km_h
+            if not speeds_km_h:
+                raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
+            braking = self.braking or EMERGENCY
+            extent = VehicleExtent.of(site.vehicle)
+            for speed_km_h, impact in product(speeds_km_h, scenario.file.impacts):
+                approach_of(scenario, extent, speed_km_h, impact, site.ground_m, braking)
+        return ScenarioRequirement(
+            name=self.name,
+            scenario=scenario,
+            vehicle=site.vehicle,
+            speeds_km_h=speeds_km_h,
+            rule=Rule(self.returns or RETURNS, self.cluster_m),
+            braking=braking,
+            lost=lost,
+            sensor_bounds=site.bounds,
+            ground_m=site.ground_m,
+        )
 
 
 @dataclass(frozen=True)
-class Scenario:
-    """A scenario whose target has been read."""
+class ScenarioRequirement(Requirement, Judge):
+    """A scenario's target is detected in time to brake at all speeds."""
 
-    file: ScenarioFile
-    target: Target
-    mesh: str | None  # the whole path of the target's file; none: it is a box
-
-    @property
-    def name(self) -> str:
-        """As the file has it."""
-        return self.file.name
-
-    @cached_property
-    def ball(self) -> tuple[Array, float]:
-        """A ball that holds the target: its middle (3,), relative to the target's place, and its radius in metres."""
-        low, high = self.target.box_m
-        return 0.5 * (low + high), 0.5 * math.dist(low, high)
-
-
-def presets() -> dict[str, Path]:
-    """The scenarios that come with the package: their files by name."""
-    found = {path.stem: path for path in (shipped("data") / "scenarios").glob("*.yaml")}
-    return dict(sorted(found.items()))
-
-
-def load_scenario(name: str, folder: Path = Path(), target: ObjectFile | None = None) -> Scenario:
-    """A preset by its name, or the scenario in a file relative to a folder; with another target, if one is given.
-
-    Raises ConfigError and SceneError.
-    """
-    if Path(name).suffix:
-        path = example(folder / name)
-    else:
-        known = presets()
-        if name.lower() not in known:
-            raise ConfigError(f"no scenario is called {name!r}; allowed: {', '.join(known)}, or the path of a .yaml")
-        path = known[name.lower()]
-    return scenario_in(path) if target is None else scenario_of(load(path, ScenarioFile), target, folder)
-
-
-def scenario_in(path: Path) -> Scenario:
-    """The scenario in a file. Raises ConfigError with file, line and key."""
-    file = load(path, ScenarioFile)
-    with errors_at(path, "target"):
-        return scenario_of(file, file.target, path.parent)
-
-
-def scenario_of(file: ScenarioFile, target: ObjectFile, folder: Path) -> Scenario:
-    """The scenario of a file's values with a target that a file in a folder describes. Raises ConfigError."""
-    found = target_of(target, folder)
-    if target.size_m:
-        return Scenario(file, found, None)
-    path = shipped_objects()[target.name] if target.name else folder / str(target.mesh)
-    return Scenario(file, found, os.path.realpath(path))
-
-
-@dataclass(frozen=True)
-class Extent:
-    """How far a vehicle's bodies reach in the vehicle frame, in metres."""
-
-    front_m: float
-    rear_m: float
-    right_m: float
-    left_m: float
-
-    @classmethod
-    def of(cls, vehicle: Vehicle | None) -> "Extent":
-        """Of a vehicle's bodies. Raises ConfigError without them."""
-        if vehicle is None:
-            raise ConfigError(NO_BODY)
-        vertices = vehicle.scene.mesh()[0]
-        low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
-        return cls(front_m=high[0], rear_m=low[0], right_m=low[1], left_m=high[1])
-
-    @property
-    def middle_m(self) -> float:
-        """Where the middle of the vehicle's path is."""
-        return 0.5 * (self.right_m + self.left_m)
-
-    def across_m(self, fraction: float) -> float:
-        """A fraction of the width from the right side."""
-        return self.right_m + fraction * (self.left_m - self.right_m)
-
-
-@dataclass(frozen=True)
-class Approach:
-    """A run of a scenario at one speed: where everything is, at times since it starts. Raises ConfigError."""
-
+    is_slow: ClassVar[bool] = True
+    name: str
     scenario: Scenario
-    extent: Extent
-    speed_km_h: float
-    impact: float  # fraction of the width, from the right side
-    lead_s: float  # from the start to the impact
-    ground_m: float = 0.0  # height of the ground in the vehicle frame
+    vehicle: Vehicle
+    speeds_km_h: tuple[float, ...]
+    rule: Rule
+    braking: Braking = EMERGENCY
+    lost: int = 0  # sensors that fail
+    sensor_bounds: Bounds | None = None  # for the earliest line of sight; None: where they are
+    ground_m: float = 0.0
 
     @property
-    def speed_m_s(self) -> float:
-        """The vehicle's speed."""
-        return self.speed_km_h * KM_H
+    def work(self) -> int:
+        """About the number of places that would take as long, for progress."""
+        return PLACES_PER_CASE * len(self.speeds_km_h) * len(self.scenario.file.impacts)
 
-    @property
-    def way(self) -> float:
-        """1 if the vehicle drives forwards, along x; -1 if it reverses."""
-        return -1.0 if self.scenario.file.backwards else 1.0
+    def judge_with(self, share: Share | None = None) -> "ScenarioRequirement":
+        """Itself: nothing is kept."""
+        return self
 
-    @property
-    def walk_m_s(self) -> float:
-        """The target's speed once it has gained it."""
-        return self.scenario.file.path.speed_km_h * KM_H
+    def check(
+        self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
+    ) -> "ScenarioOutcome":
+        """The outcome for a rig. Raises ConfigError."""
+        return ScenarioOutcome(
+            self,
+            check_scenario(
+                self.scenario,
+                mounts,
+                self.vehicle,
+                speeds_km_h=self.speeds_km_h,
+                rule=self.rule,
+                braking=self.braking,
+                losses=sorted({0, self.lost, min(1, len(mounts) - 1)}),
+                bounds=self.sensor_bounds,
+                ground_m=self.ground_m,
+                on_progress=on_progress,
+            ),
+        )
 
-    @property
-    def ahead_m_s(self) -> float:
-        """The target's speed along the vehicle's path."""
-        return 0.0 if self.scenario.file.path.crosses_from else self.walk_m_s
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
+        """The verdict on a rig; `on_places` is told how much more of `work` is done. Raises ConfigError."""
+        done = 0
 
-    @property
-    def closing_m_s(self) -> float:
-        """The speed at which vehicle and target approach each other along the path."""
-        return self.speed_m_s - self.ahead_m_s
+        def on_progress(fraction: float) -> None:
+            nonlocal done
+            now = round(fraction * self.work)
+            on_places(now - done)
+            done = now
 
-    @property
-    def contact_m(self) -> float:
-        """x of the vehicle's front, or rear if it reverses, at the impact."""
-        end_m = self.extent.rear_m if self.scenario.file.backwards else self.extent.front_m
-        return end_m + self.way * self.speed_m_s * self.lead_s
+        return self.check(mounts, on_progress).verdict
 
-    @property
-    def heading_deg(self) -> float:
-        """The target's heading."""
-        crosses = self.scenario.file.path.crosses_from
-        if crosses:
-            return ACROSS_DEG if crosses == "right" else -ACROSS_DEG
-        return 180.0 if self.scenario.file.backwards else 0.0
+    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
+        """The evidence for a verdict on a rig."""
+        return Evidence(found, frames=self.check(mounts).result)
 
-    @property
-    def velocity_m_s(self) -> Array:
-        """(2,) of the vehicle."""
-        return np.array([self.way * self.speed_m_s, 0.0])
 
-    def remaining_m(self, seconds: float) -> float:
-        """The way that the target still has to go to the place of the impact."""
-        path = self.scenario.file.path
-        left_s = self.lead_s - seconds
-        if path.start_m is None:
-            return self.walk_m_s * left_s
-        steady_s = (self.walked_m - path.gain_m) / self.walk_m_s
-        gaining_s = 2 * path.gain_m / self.walk_m_s
-        since_s = steady_s + gaining_s - left_s  # since it began to move
-        if since_s <= 0.0:
-            return self.walked_m
-        if since_s < gaining_s:
-            return self.walked_m - self.walk_m_s**2 / (4 * path.gain_m) * since_s**2
-        return self.walk_m_s * left_s
+@dataclass(frozen=True)
+class ScenarioOutcome:
+    """The outcome of a scenario requirement for a rig."""
+
+    requirement: ScenarioRequirement
+    tried: ScenarioResult  # also with each single sensor lost, whether that is asked for or not
 
     @cached_property
-    def walked_m(self) -> float:
-        """The whole way of a target that starts beside the vehicle's path. Raises ConfigError if it is too short."""
-        path = self.scenario.file.path
-        assert path.start_m is not None
-        inward = 1.0 if path.crosses_from == "right" else -1.0
-        whole_m = path.start_m + inward * (self.extent.across_m(self.impact) - self.extent.middle_m)
-        if not whole_m > path.gain_m:
-            what = f"start_m: {path.start_m:g} m beside the path leave {whole_m:g} m to the impact, of which the target"
-            raise ConfigError(f"{self.scenario.name}: {what} needs {path.gain_m:g} to gain its speed")
-        return whole_m
-
-    def target_m(self, seconds: float) -> Array:
-        """(2,) the middle of the target."""
-        remaining_m = self.remaining_m(seconds)
-        if crosses := self.scenario.file.path.crosses_from:
-            inward = 1.0 if crosses == "right" else -1.0
-            return np.array([self.contact_m, self.extent.across_m(self.impact) - inward * remaining_m])
-        x = self.contact_m + self.way * (0.5 * float(self.scenario.target.size_m[0]) - remaining_m)
-        return np.array([x, self.extent.across_m(self.impact)])
-
-    def gap_m(self, seconds: float) -> float:
-        """Along the path from the vehicle to the place of the impact, or to the target if it moves along the path."""
-        return self.closing_m_s * (self.lead_s - seconds)
+    def result(self) -> ScenarioResult:
+        """The result of the runs with as many sensors lost as the requirement says, and with all sensors."""
+        return self.tried.with_lost(0, self.requirement.lost)
 
     @property
-    def near_side_m(self) -> float:
-        """x of the target's nearer side, or of its end if it does not cross, at the impact."""
-        if not self.scenario.file.path.crosses_from:
-            return self.contact_m
-        return self.contact_m - self.way * 0.5 * float(self.scenario.target.size_m[1])
-
-    def car_m(self, car: CarFile) -> Array:
-        """(3,) the middle of a parked car."""
-        length_m, width_m, height_m = car.size_m
-        x = self.near_side_m - self.way * (car.before_m + 0.5 * length_m)
-        if car.side == "right":
-            y = self.extent.right_m - car.beside_m - 0.5 * width_m
-        else:
-            y = self.extent.left_m + car.beside_m + 0.5 * width_m
-        return np.array([x, y, self.ground_m + 0.5 * height_m])
-
-    @cached_property
-    def scene_file(self) -> SceneFile:
-        """The scene, whose time 0 is the start: the ground, the parked cars, and the target."""
-        boxes = [_box(car.name, tuple(self.car_m(car).tolist()), car.size_m) for car in self.scenario.file.cars]
-        meshes = []
-        target = self.scenario.target
-        place = np.array([*self.target_m(0.0), self.ground_m])
-        if self.scenario.mesh is None:
-            length_m, width_m, height_m = target.size_m.tolist()
-            x, y, z = (place + np.array([0.0, 0.0, 0.5 * height_m])).tolist()
-            moving = {"yaw_deg": self.heading_deg, "motion": self._motion}
-            boxes.append(_box(TARGET, (x, y, z), (length_m, width_m, height_m)).model_copy(update=moving))
-        else:
-            x, y, z = (place - self._turned(target.origin_m[None])[0]).tolist()
-            meshes.append(
-                MeshFile(
-                    name=TARGET,
-                    reflectivity=REFLECTIVITY,
-                    file=self.scenario.mesh,
-                    position_m=(x, y, z),
-                    rpy_deg=(0.0, 0.0, self.heading_deg),
-                    motion=self._motion,
-                )
-            )
-        ground = Ground(z_m=self.ground_m, reflectivity=GROUND_REFLECTIVITY)
-        return SceneFile(name=self.scenario.name, ground=ground, boxes=tuple(boxes), meshes=tuple(meshes))
-
-    @cached_property
-    def scene(self) -> Scene:
-        """The scene of the file."""
-        return build_scene(self.scene_file, Path(self.scenario.name))
+    def breaking(self) -> tuple[str, ...]:
+        """The sensors whose failure, each alone, breaks the requirement."""
+        out = []
+        for n, name in enumerate(self.tried.sensor_names):
+            runs = [run for case in self.tried.cases for run in case.runs if run.lost == (n,)]
+            if any(run.margin_s < 0.0 for run in runs):
+                out.append(name)
+        return tuple(out)
 
     @property
-    def motion(self) -> Motion:
-        """The vehicle's, from its place at time 0."""
-        x, y = self.velocity_m_s.tolist()
-        return Motion(velocity_m_s=(x, y, 0.0))
-
-    def trajectory(self, zero_ns: int) -> Trajectory:
-        """The vehicle's, when the run starts at a time."""
-        return Trajectory(np.eye(4), build_path(self.motion), zero_ns)
-
-    def target_points(self, points: Array, seconds: float) -> Array:
-        """Points (N, 3) relative to the target's place, in the world at a time."""
-        place = np.array([*self.target_m(seconds), self.ground_m])
-        return np.asarray(self._turned(points) + place)
-
-    def _turned(self, points: Array) -> Array:
-        return transform(self._T_turned, points)
-
-    @cached_property
-    def _T_turned(self) -> Array:
-        return pose((0.0, 0.0, 0.0), (0.0, 0.0, math.radians(self.heading_deg)))
-
-    @property
-    def _motion(self) -> Motion | None:
-        """The target's, from its place at time 0; while it gains speed, along chords of some tenths of a millimetre."""
-        if not self.walk_m_s:
-            return None
-        start = self.target_m(0.0)
-        path = self.scenario.file.path
-        end_s = self.lead_s + AFTER_IMPACT_S
-        if path.start_m is None:
-            x, y = (self.target_m(1.0) - start).tolist()
-            return Motion(velocity_m_s=(x, y, 0.0))
-        steady_s = self.lead_s - (self.walked_m - path.gain_m) / self.walk_m_s
-        gaining_s = np.linspace(steady_s - 2 * path.gain_m / self.walk_m_s, steady_s, GAIN_POSES + 1)
-        times_s = [0.0, *(time for time in np.unique(gaining_s).tolist() if 0.0 < time < end_s), end_s]
-        moved = [self.target_m(time) - start for time in times_s]
-        poses = [
-            TimedPose(time_s=time, position_m=(float(x), float(y), 0.0))
-            for time, (x, y) in zip(times_s, moved, strict=True)
-        ]
-        return Motion(poses=tuple(poses))
+    def verdict(self) -> RequirementVerdict:
+        """The verdict, in seconds before the last moment to brake."""
+        found = self.result
+        case = found.worst
+        worst = case.worst
+        return RequirementVerdict(
+            name=self.requirement.name,
+            kind=ScenarioKind.key,
+            passed=found.met,
+            unit="s",
+            demanded=0.0,
+            reached=worst.margin_s,
+            at_most=False,
+            shortfall=found.shortfall,
+            worst=_place(case),
+            lost=tuple(found.sensor_names[n] for n in worst.lost),
+            breaking=self.breaking,
+            notes=_notes(found, case),
+        )
 
 
-def _box(name: str, center_m: tuple[float, ...], size_m: Sequence[float]) -> Box:
-    x, y, z = center_m
-    length_m, width_m, height_m = size_m
-    return Box(name=name, reflectivity=REFLECTIVITY, center_m=(x, y, z), size_m=(length_m, width_m, height_m))
+def _place(case: ScenarioCase) -> WorstPlace:
+    """The target in the vehicle frame at the last moment to brake."""
+    worst = case.worst
+    x, y = (worst.approach.target_m(worst.last_s) - worst.approach.velocity_m_s * worst.last_s).tolist()
+    return WorstPlace(x, y, worst.approach.heading_deg)
+
+
+def _notes(found: ScenarioResult, case: ScenarioCase) -> tuple[str, ...]:
+    """When the target is detected in the worst case, and when it could be."""
+    worst = case.worst
+    at = f"at {case.speed_km_h:g} km/h"
+    at += f" and {case.impact:.0%} of the width" if len(found.scenario.file.impacts) > 1 else ""
+    last = f"the last moment to brake {at} is {worst.needed_s:.2f} s and {worst.approach.gap_m(worst.last_s):.1f} m"
+    seen = "is not detected before the impact" if worst.detected_s is None else _relative(worst.margin_s, "is detected")
+    notes = [f"{last} before the impact; the target {seen}"]
+    sight_s = case.sight_margin_s
+    sight = "is never in sight" if sight_s is None else _relative(sight_s, "comes into sight")
+    places = f"{case.sight.places:,} place{'s' if case.sight.places > 1 else ''}"
+    notes.append(f"of {places} tried within the sensors' bounds, from the best one it {sight}")
+    late = [one.speed_km_h for one in found.cases if not one.is_seen_in_time and one.worst.margin_s < 0.0]
+    if late:
+        speeds = ", ".join(f"{speed:g}" for speed in np.unique(late).tolist())
+        notes.append(f"at {speeds} km/h that is too late for a frame before the last moment to brake")
+    if found.scenario.file.unverified:
+        notes.append(f"not verified: {found.scenario.file.unverified}")
+    return tuple(notes)
+
+
+def _relative(margin_s: float, what: str) -> str:
+    return f"{what} {abs(margin_s):.2f} s {'before' if margin_s >= 0 else 'after'} that"

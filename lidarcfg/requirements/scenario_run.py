@@ -17,15 +17,17 @@ from numpy.typing import NDArray
 from lidarcfg import core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, inverse, transform
+from lidarcfg.requirements.approach import BEFORE_IMPACT_S, Approach, VehicleExtent
 from lidarcfg.requirements.braking import EMERGENCY, Braking
-from lidarcfg.requirements.objects import LOW_M
-from lidarcfg.requirements.scenario import BEFORE_IMPACT_S, TARGET, Approach, Extent, Scenario
-from lidarcfg.requirements.sight import Bounds, Sight, earliest_sight, places_within
+from lidarcfg.requirements.scenario_file import TARGET, Scenario
+from lidarcfg.requirements.sight import Bounds, LineOfSight, earliest_sight, places_within
+from lidarcfg.returns.counts import LOW_M
 from lidarcfg.sensors.firing import Firings, joined
 from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import firing_ends
-from lidarcfg.simulate.tasks import CHUNK_NS, START_NS, Drive, Task, build_tasks
-from lidarcfg.units import SECOND_NS
+from lidarcfg.simulate.tasks import CHUNK_NS, Task, build_tasks
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.vehicle import Vehicle
 
 SLACK = 1e-9  # of a cosine, for rounding
@@ -248,7 +250,7 @@ class ScenarioCase:
     speed_km_h: float
     impact: float
     runs: tuple[ScenarioRun, ...]
-    sight: Sight  # by the clock of start 0
+    sight: LineOfSight  # by the clock of start 0
 
     @property
     def worst(self) -> ScenarioRun:
@@ -318,7 +320,7 @@ def check_scenario(
     vehicle frame. What the sensors' realism says is left out. Raises ConfigError.
     """
     rule = rule or Rule()
-    extent = Extent.of(vehicle)
+    extent = VehicleExtent.of(vehicle)
     speeds = speeds_km_h or scenario.file.speeds_km_h
     if not speeds:
         raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
@@ -365,7 +367,7 @@ def needed(approach: Approach, braking: Braking) -> float:
 
 
 def approach_of(
-    scenario: Scenario, extent: Extent, speed_km_h: float, impact: float, ground_m: float, braking: Braking
+    scenario: Scenario, extent: VehicleExtent, speed_km_h: float, impact: float, ground_m: float, braking: Braking
 ) -> Approach:
     """The run at a speed and impact. Raises ConfigError unless it starts long enough before braking begins."""
     one = Approach(scenario, extent, speed_km_h, impact, scenario.file.before_impact_s or BEFORE_IMPACT_S, ground_m)

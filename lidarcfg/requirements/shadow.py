@@ -4,18 +4,26 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.requirements.context import Context
+from lidarcfg.requirements.evidence import Evidence
+from lidarcfg.requirements.kind import Entry, Judge, Kind, Lost, Requirement
 from lidarcfg.requirements.margins import MountMargins, with_one_off
-from lidarcfg.requirements.objects import cases
-from lidarcfg.requirements.robustness import Robust, misplaced
+from lidarcfg.requirements.robustness import Robust, cases, misplaced
 from lidarcfg.requirements.trial_rig import TrialRig
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
+from lidarcfg.requirements.zone import zone_within
 from lidarcfg.returns.counts import OnPlaces, no_progress
+from lidarcfg.returns.known import Share
+from lidarcfg.returns.places import Distances, ascending
+from lidarcfg.returns.target import SIZE_MAX_M, Size
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.vehicle import Vehicle
@@ -26,9 +34,55 @@ HEIGHT_M = 0.0, 2.0
 POINTS_MAX = 20_000_000
 KEPT_BYTES = 1 << 26  # of what is seen from sensors' latest places
 
+Heights = Annotated[tuple[Annotated[float, Field(ge=0, le=SIZE_MAX_M)], Size], AfterValidator(ascending)]
+
+
+class ShadowKind(Kind):
+    """The bodies hide no more than a volume from all sensors."""
+
+    key: ClassVar[str] = "shadow_at_most_m3"
+    shadow_at_most_m3: Annotated[float, Field(ge=0, description="the hidden volume, at most")]
+    height_m: Annotated[Heights | None, Field(description="`[from, to]` above the ground; 0 to 2 by default")] = None
+    within_m: Annotated[
+        Distances | None,
+        Field(description="`[least, greatest]` distance from the body's outline; 0 to 5 by default"),
+    ] = None
+    lost: Lost = None
+
+    def resolve(self, entry: Entry, context: Context) -> "ShadowRequirement":
+        """The requirement of a study. Raises ConfigError with file, line and key."""
+        lost = entry.lost(self.lost, context)
+        site = context.site
+        zone = zone_within(entry, site, self.within_m)
+        assert zone.body
+        assert site.vehicle
+        found = ShadowRequirement(
+            name=self.name,
+            at_most_m3=self.shadow_at_most_m3,
+            height_m=self.height_m or HEIGHT_M,
+            within_m=self.within_m or WITHIN_M,
+            vehicle=site.vehicle,
+            body=zone.body,
+            ground_m=site.ground_m,
+            lost=lost,
+            robust=context.robust,
+        )
+        with entry.errors_at("within_m"):
+            found.points_m  # noqa: B018  # raises for too many points
+        return found
+
 
 @dataclass(frozen=True)
-class ShadowRequirement:
+class HiddenColumns:
+    """The height that the bodies hide from all sensors above N points of the ground."""
+
+    at_m: Array  # (N, 2)
+    height_m: Array  # (N,) that is hidden
+    side_m: float  # between points
+
+
+@dataclass(frozen=True)
+class ShadowRequirement(Requirement):
     """The bodies hide at most this volume from all sensors."""
 
     name: str
@@ -40,6 +94,10 @@ class ShadowRequirement:
     ground_m: float
     lost: int = 0
     robust: Robust | None = None
+
+    def judge_with(self, share: Share | None = None) -> "ShadowJudge":
+        """A judge."""
+        return ShadowJudge(self)
 
     @cached_property
     def points_m(self) -> Array:
@@ -97,11 +155,17 @@ class ShadowRequirement:
             for errors in self.robust.errors(len(mounts)):
                 draws.append(self.judged_by(self.seen(misplaced(mounts, errors)), names))
                 on_places(len(self.points_m))
-            draws.sort(key=lambda one: one.reached)
-            found.append(draws[self.robust.drawn - 1 - self.robust.spare])
+            found.append(self.robust.quantile_of(draws, lambda one: -one.reached))
         left = self._without_each(seen)
         breaking = tuple(name for name, volume_m3 in zip(names, left, strict=True) if volume_m3 > self.at_most_m3)
         return replace(max(found, key=lambda one: one.reached), breaking=breaking)
+
+    def columns(self, mounts: Sequence[Mount]) -> HiddenColumns:
+        """The hidden height above each point of the ground."""
+        points = self.points_m
+        at, column = np.unique(points[:, :2], axis=0, return_inverse=True)
+        height_m = np.bincount(column.ravel(), self.hidden(mounts), len(at)) * self.layer_m
+        return HiddenColumns(at, np.asarray(height_m), STEP_M)
 
     def margins(self, mounts: Sequence[Mount]) -> MountMargins:
         """What single failures and mounts that are a little off leave."""
@@ -153,7 +217,7 @@ class ShadowRequirement:
         whole_m3 = len(self.points_m) * self.cell_m3
         return RequirementVerdict(
             name=self.name,
-            kind="shadow_at_most_m3",
+            kind=ShadowKind.key,
             passed=value <= self.at_most_m3,
             unit="m³",
             demanded=self.at_most_m3,
@@ -168,10 +232,8 @@ class ShadowRequirement:
         )
 
 
-class ShadowJudge:
+class ShadowJudge(Judge):
     """Judges rigs by one requirement of a shadow."""
-
-    is_slow = False
 
     def __init__(self, item: ShadowRequirement) -> None:
         self.item = item
@@ -185,6 +247,11 @@ class ShadowJudge:
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
         return self.item.judge(mounts, on_places)
+
+    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
+        """The evidence for a verdict on a rig, without mounting errors."""
+        item = self.item
+        return Evidence(found, item.body, map=item.columns(mounts), margins=(item.margins(mounts),))
 
     def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:
         """The shortfall of a search's trial; 0 before, as a bound."""

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lidarcfg.geometry import Array, rotations
-from lidarcfg.requirements.judges import Judge, judges, trial_places
-from lidarcfg.requirements.requirements import Requirements
+from lidarcfg.requirements.judges import judges
+from lidarcfg.requirements.kind import Judge
+from lidarcfg.requirements.resolved import Requirements
 from lidarcfg.requirements.robustness import mounted
 from lidarcfg.requirements.trial_rig import TrialRig
 from lidarcfg.returns.known import RigAt
@@ -49,7 +50,7 @@ class Shortfalls:
         robust = requirements.robust
         self._robust = robust if robust and robust.drawn else None
         self._errors = self._robust.errors(len(mounts)) if self._robust else np.empty((0, len(mounts), 6))
-        self._judges, known = judges(requirements, trial_places(requirements, more_places or {}), mounts)
+        self._judges, known = judges(requirements, mounts, more_places or {})
         self._numbers = known.numbers(mounts) if known else np.zeros(len(mounts), np.int64)
 
     def rigs(self, poses: Array) -> list[Draws]:
@@ -96,8 +97,8 @@ class Shortfalls:
         """The larger of a shortfall and its quantile over draws of mounting errors; slow judges leave these out."""
         if self._robust is None or judge.is_slow:
             return at_rest
-        values = sorted(_exact(judge, one) for one in rig.off)
-        return max(at_rest, values[self._robust.drawn - 1 - self._robust.spare])
+        values = [_exact(judge, one) for one in rig.off]
+        return max(at_rest, self._robust.quantile_of(values, lambda one: -one))
 
     def learn(self) -> None:
         """Called after every batch of trials, so that later ones use its findings."""

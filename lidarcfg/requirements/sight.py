@@ -1,6 +1,6 @@
 """The earliest line of sight to a scenario's target: when a place within the bounds first sees a point of it.
 
-Places and points are samples, so a sight between them may begin a little earlier: `Sight` says how many there are.
+Places and points are samples, so a sight between them may begin a little earlier: `LineOfSight` has their numbers.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,8 @@ import numpy as np
 
 from lidarcfg.core import world
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.scenario import Approach, Scenario
+from lidarcfg.requirements.approach import Approach
+from lidarcfg.requirements.scenario_file import Scenario
 from lidarcfg.world.tracer import Tracer, build_bvh
 from lidarcfg.world.vehicle import Vehicle
 
@@ -24,7 +25,7 @@ Bounds = Sequence[tuple[Array, Array]]  # (3,) each: lower and upper corners of 
 
 
 @dataclass(frozen=True)
-class Sight:
+class LineOfSight:
     """Whether, and from when on, some place sees the target without a break until the last moment to brake."""
 
     seconds: float | None  # since the start of the run; none: not before the impact
@@ -109,20 +110,20 @@ def _cars(approach: Approach) -> world.Bvh:
     return build_bvh(scene, np.array([name in parked for name in scene.names]), np.zeros(3))
 
 
-def earliest_sight(approach: Approach, last_s: float, places: Array, vehicle: Vehicle | None) -> Sight:
+def earliest_sight(approach: Approach, last_s: float, places: Array, vehicle: Vehicle | None) -> LineOfSight:
     """From when on places (N, 3) of the vehicle see the target at all times until `last_s`; or the first after it."""
     is_seen = _SightTest(approach, places, vehicle)
     if len(places) and is_seen(last_s):
         hidden_s = last_s
         while is_seen(hidden_s):
             if hidden_s <= 0.0:
-                return Sight(0.0, len(places), is_seen.points)
+                return LineOfSight(0.0, len(places), is_seen.points)
             hidden_s = max(hidden_s - STEP_S, 0.0)
-        return Sight(_bisected(is_seen, hidden_s, hidden_s + STEP_S), len(places), is_seen.points)
+        return LineOfSight(_bisected(is_seen, hidden_s, hidden_s + STEP_S), len(places), is_seen.points)
     for seen_s in np.arange(last_s + STEP_S, approach.lead_s, STEP_S).tolist():
         if len(places) and is_seen(seen_s):
-            return Sight(_bisected(is_seen, seen_s - STEP_S, seen_s), len(places), is_seen.points)
-    return Sight(None, len(places), is_seen.points)
+            return LineOfSight(_bisected(is_seen, seen_s - STEP_S, seen_s), len(places), is_seen.points)
+    return LineOfSight(None, len(places), is_seen.points)
 
 
 def _bisected(is_seen: _SightTest, hidden_s: float, seen_s: float) -> float:

@@ -1,7 +1,8 @@
 """The verdict: whether a rig meets its requirements, by how much, and where it comes closest to missing each."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 
@@ -68,7 +69,7 @@ class RequirementVerdict:
     """Whether a rig meets a requirement."""
 
     name: str
-    kind: str  # the key in file.py's KINDS
+    kind: str  # its key in KINDS
     passed: bool
     unit: str  # of the figures: returns, m, m³, s, or empty
     demanded: float
@@ -118,6 +119,20 @@ class RequirementVerdict:
         return {key: value for key, value in values.items() if value is not None}
 
 
+def at_most(name: str, kind: str, most: float, reached: float, unit: str = "") -> RequirementVerdict:
+    """The verdict by a limit of one number, whatever the places."""
+    return RequirementVerdict(
+        name=name,
+        kind=kind,
+        passed=reached <= most,
+        unit=unit,
+        demanded=most,
+        reached=reached,
+        at_most=True,
+        shortfall=max(reached / most - 1, 0.0),
+    )
+
+
 @dataclass(frozen=True)
 class Verdict:
     """Whether a rig meets all requirements of a study."""
@@ -138,6 +153,11 @@ class Verdict:
     def least_margin(self) -> float:
         """The least relative margin."""
         return min((one.relative_margin for one in self.requirements), default=math.inf)
+
+    def explained(self, why: Mapping[str, str]) -> "Verdict":
+        """The verdict with why no rig can meet some requirements, by name, where these are not met."""
+        out = [one if one.passed else replace(one, not_achievable=why.get(one.name)) for one in self.requirements]
+        return Verdict(tuple(out))
 
     def to_dict(self) -> dict[str, Any]:
         """As a JSON object."""

@@ -24,6 +24,10 @@ from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles
 PLACES_PER_PART = 64  # that a thread takes at a time
 COUNT_BYTES = 8  # of the returns of a sensor in a phase, and of what is computed from them
 
+# Above the ground a cluster has a point at least so high: autonomous_emergency_braking.param.yaml of autoware_launch at
+# 025908d.
+LOW_M = 0.1
+
 OnPlaces = Callable[[int], None]  # is told how many more places are done; what it raises ends the work
 
 

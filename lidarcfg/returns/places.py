@@ -128,11 +128,11 @@ class Stand:
         some = np.flatnonzero(kept)
         middle_m = np.full(len(places), np.nan)
         middle_m[some] = body.to_points_m(places[some, :2])
-        radius_m = self.footprint.radius_m
-        kept[some] = (middle_m[some] - radius_m <= most_m) & (middle_m[some] + radius_m >= least_m)
-        unsure = np.flatnonzero(kept & ~((middle_m - radius_m > least_m) & (middle_m + radius_m <= most_m)))
-        exact = self.distance_m(places[unsure])
-        kept[unsure] = (exact > 0) & (exact >= least_m - FIT_M) & (exact <= most_m + FIT_M)
+        nearest_m = middle_m - self.footprint.radius_m  # that the object may be
+        farthest_m = middle_m - self.footprint.inner_radius_m
+        kept[some] = (nearest_m[some] <= most_m) & (farthest_m[some] >= least_m - 2 * FIT_M)
+        unsure = np.flatnonzero(kept & ~((nearest_m > least_m) & (farthest_m <= most_m)))
+        kept[unsure] = body.are_beside(max(least_m - FIT_M, 0.0), most_m + FIT_M, self.footprint, places[unsure])
         return kept
 
     def _reach_m(self, headings_rad: Array) -> tuple[Array, Array]:

@@ -66,7 +66,7 @@ def joined(parts: Sequence[Firings]) -> Firings:
 
 
 @dataclass(frozen=True)
-class Batch:
+class FiringBatch:
     """The firings of P successive packets of one sensor."""
 
     firings: Firings  # packet by packet, the same number in each except for lasers that do not fire
@@ -81,7 +81,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Pace:
+class PacketPace:
     """The rate at which a sensor sends packets."""
 
     period_ns: int  # from one packet to the next
@@ -188,10 +188,10 @@ class Timing(Protocol):
         if mount.return_mode != "strongest":
             raise ConfigError(f"sensor {mount.sensor.name!r} has no {mount.return_mode} returns")
 
-    def pace(self, mount: Mount) -> Pace:
+    def pace(self, mount: Mount) -> PacketPace:
         """The packet rate and size of the mount."""
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
         """The firings in the time of this many packets, `chunk` packets at a time; fewer in a narrow field of view."""
 
     def pattern(self, mount: Mount) -> Pattern | FramePattern:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lidarcfg.geometry import Array, Flags
-from lidarcfg.sensors.firing import Batch, Firings, FramePattern, Pace, Timing
+from lidarcfg.sensors.firing import FiringBatch, Firings, FramePattern, PacketPace, Timing
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.scan_pattern import ScanPattern
 
@@ -16,12 +16,12 @@ class PatternTiming(Timing):
     def check(self, mount: Mount) -> None:
         """Each mount can be simulated."""
 
-    def pace(self, mount: Mount) -> Pace:
+    def pace(self, mount: Mount) -> PacketPace:
         """By the pattern's mean rate."""
         pattern = mount.sensor.pattern
-        return Pace(max(pattern.period_ns // len(pattern.time_ns), 1), 1)
+        return PacketPace(max(pattern.period_ns // len(pattern.time_ns), 1), 1)
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
         """The firings of equal times; the pattern begins at `start_ns`."""
         pattern = mount.sensor.pattern
         period_ns = self.pace(mount).period_ns
@@ -30,7 +30,7 @@ class PatternTiming(Timing):
             number = np.arange(first, end)
             counts = (pattern.count_before(first * period_ns), pattern.count_before(end * period_ns))
             fired = firings(pattern, start_ns, *counts)
-            yield Batch(fired[in_view(mount, fired.encoder_rad)], number, start_ns + (number + 1) * period_ns)
+            yield FiringBatch(fired[in_view(mount, fired.encoder_rad)], number, start_ns + (number + 1) * period_ns)
 
     def pattern(self, mount: Mount) -> FramePattern:
         return FramePattern(mount.sensor.pattern)

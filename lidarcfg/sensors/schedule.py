@@ -11,7 +11,7 @@ import numpy as np
 from lidarcfg.core import packets as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Times
-from lidarcfg.sensors.firing import Batch, Firings, Pace, Pattern, Timing, joined
+from lidarcfg.sensors.firing import FiringBatch, Firings, PacketPace, Pattern, Timing, joined
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import FIRING, Sensor
 from lidarcfg.units import MINUTE_NS, SECOND_NS
@@ -61,11 +61,11 @@ class SequenceTiming(Timing, Protocol):
     def firing_schedule(self, mount: Mount) -> FiringSchedule:
         """The schedule of a packet of the mount."""
 
-    def pace(self, mount: Mount) -> Pace:
+    def pace(self, mount: Mount) -> PacketPace:
         schedule = self.firing_schedule(mount)
-        return Pace(schedule.period_ns, schedule.offsets_ns.size)
+        return PacketPace(schedule.period_ns, schedule.offsets_ns.size)
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
         return batches(self.firing_schedule(mount), mount, start_ns, packets, chunk)
 
     def pattern(self, mount: Mount) -> Pattern:
@@ -141,7 +141,7 @@ def revolutions(rpm: float, period_ns: int, start_ns: int, packets: range, phase
     return np.array(turned, np.float64) + ahead
 
 
-def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
     """The firings in the time of this many packets, `chunk` packets at a time.
 
     With a field of view, only the sequences whose azimuth is within it are fired. Packets are filled with them across
@@ -162,5 +162,5 @@ def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, packets: int,
             rest = fired[full:]
             fired = fired[:full]
         _, ends_ns = schedule.stamps_ns(fired)
-        yield Batch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000)
+        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000)
         sent += len(ends_ns)

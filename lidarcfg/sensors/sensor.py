@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from lidarcfg import maths
+from lidarcfg.config.kinds import YAML_SUFFIXES
 from lidarcfg.config.models import (
     COORDINATE_MAX_M,
     Angle,
@@ -352,7 +353,7 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
         if sensor.name != name:
             raise ConfigError(f"{path}:1:1: name: {sensor.name!r} is not the file's name, {name!r}")
         return sensor
-    if Path(name).suffix in (".yaml", ".yml", ".json"):
+    if Path(name).suffix in YAML_SUFFIXES:
         return _load(base / name)
     raise ConfigError(f"no sensor is called {str(name)!r}; {_meant(str(name), known)}")
 

@@ -16,20 +16,19 @@ from lidarcfg.clouds.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array, Times
 from lidarcfg.inputs import check_memory
 from lidarcfg.packets.families import timing
-from lidarcfg.sensors.firing import NO_ELEVATIONS, RETURN_TYPES, Batch, Firings
+from lidarcfg.sensors.firing import NO_ELEVATIONS, RETURN_TYPES, FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.simulate.drive import Drive, object_names
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.tasks import (
     CHUNK_RAYS,
-    Drive,
     SimulationOptions,
     Task,
     TaskRunner,
     build_tasks,
     map_chunks,
     most_returns_per_ns,
-    object_names,
 )
 from lidarcfg.units import MINUTE_NS
 
@@ -72,7 +71,7 @@ def _check_memory(tasks: Sequence[Task]) -> None:
 
 
 @dataclass(frozen=True)
-class _Chunk:
+class _TracedPoints:
     """Points in the order of firing, and the number of each one's revolution."""
 
     cloud: PointCloud
@@ -85,10 +84,10 @@ def _sensor_scans(task: Task, runner: TaskRunner, object_names: tuple[str, ...])
     ring = mount.sensor.ring.astype(np.uint8)
     counter = _FrameCounter(task.start_ns, mount.frame_ns) if mount.sensor.scan_pattern else _RevolutionCounter.of(task)
 
-    def make(batch: Batch, found: Echoes) -> _Chunk:
+    def make(batch: FiringBatch, found: Echoes) -> _TracedPoints:
         firing, cloud = _points(mount, batch.firings, found)
         number = counter.number(batch.firings.time_ns[firing], batch.firings.encoder_rad[firing])
-        return _Chunk(replace(cloud, ring=ring[batch.firings.laser[firing]], object_names=object_names), number)
+        return _TracedPoints(replace(cloud, ring=ring[batch.firings.laser[firing]], object_names=object_names), number)
 
     begun: list[PointCloud] = []  # of many sensors one waits for the others: what it holds then is little else
     current = 0
@@ -102,7 +101,7 @@ def _sensor_scans(task: Task, runner: TaskRunner, object_names: tuple[str, ...])
         yield _merge_and_clear(begun)
 
 
-def _split_revolutions(chunk: _Chunk) -> Iterator[tuple[int, PointCloud]]:
+def _split_revolutions(chunk: _TracedPoints) -> Iterator[tuple[int, PointCloud]]:
     """The points of each revolution in a chunk."""
     order = np.argsort(chunk.number, kind="stable")  # lasers that fire before their packet's time
     numbers, counts = np.unique(chunk.number, return_counts=True)

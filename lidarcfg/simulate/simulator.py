@@ -43,14 +43,14 @@ class RayCounts(NamedTuple):
     hits: int
 
 
-class Surfaces(NamedTuple):
+class ObjectSlots(NamedTuple):
     """Which objects are hit, and how they reflect."""
 
     object: NDArray[np.int32]  # by slot: of nothing, the ground, the world's shapes, then of the vehicle's bodies
     reflectivity: NDArray[np.uint8]  # by object: of nothing, then of the others
 
 
-class Lasers(NamedTuple):
+class LaserRays(NamedTuple):
     """The L lasers of a sensor, and the K rays of a beam of each."""
 
     cos_elevation: Array  # (L,)
@@ -158,18 +158,18 @@ class Simulator:
             check((first_ns - zero_ns) / 1e9, (last_ns - zero_ns) / 1e9)
 
 
-def _surfaces(tracer: Tracer, bodies: Tracer | None) -> Surfaces:
+def _surfaces(tracer: Tracer, bodies: Tracer | None) -> ObjectSlots:
     """What rays of a tracer may hit, and bodies."""
     objects, _ = tracer.world.resolve(np.arange(NO_SLOT, len(tracer.world), dtype=np.int32))
     reflectivity = [np.zeros(1, np.uint8), tracer.scene.reflectivity]
     if bodies:
         objects = np.concatenate([objects, len(tracer.scene.names) + bodies.world.fixed.object], dtype=np.int32)
         reflectivity.append(bodies.scene.reflectivity)
-    return Surfaces(objects, np.concatenate(reflectivity))
+    return ObjectSlots(objects, np.concatenate(reflectivity))
 
 
-def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:
-    return Lasers(
+def _lasers(sensor: Sensor, across: Array, above: Array) -> LaserRays:
+    return LaserRays(
         cos_elevation=maths.cos(sensor.elevation_rad),
         sin_elevation=maths.sin(sensor.elevation_rad),
         cos_offset=maths.cos(sensor.azimuth_offset_rad),

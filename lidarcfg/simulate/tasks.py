@@ -14,19 +14,18 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import Array
 from lidarcfg.packets.families import timing
-from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Timing
+from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Timing
 from lidarcfg.sensors.pattern_timing import in_view
-from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Range
+from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.simulator import RayCounts, Simulator
 from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.motion import Trajectory
-from lidarcfg.world.scene import Scene
 from lidarcfg.world.tracer import Tracer
-from lidarcfg.world.vehicle import Vehicle, check_outside
+from lidarcfg.world.vehicle import check_outside
 
-START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export is repeatable
 CHUNK_NS = 1_000_000_000  # traced at a time, at most: each chunk has a fixed cost
 CHUNK_RAYS = 196_608  # the same in rays
 AHEAD = 1  # chunks of a sensor that are traced while others are written
@@ -43,23 +42,6 @@ class SimulationOptions:
     on_rays: OnRays = lambda counts: None  # the numbers of rays of each chunk
     chunk_ns: int = CHUNK_NS  # traced at a time, at most
     threads: int | None = None  # none: as many as cores
-
-
-@dataclass(frozen=True)
-class Drive:
-    """A rig on a vehicle that stands or drives in a scene, for a while."""
-
-    rig: Rig
-    scene: Scene
-    trajectory: Trajectory
-    vehicle: Vehicle | None
-    start_ns: int
-    duration_ns: int
-
-
-def object_names(scene: Scene, vehicle: Vehicle | None) -> tuple[str, ...]:
-    """The names of the objects in the ground truth: the scene's, then the vehicle's with `vehicle/` in front."""
-    return scene.names + (tuple(f"vehicle/{name}" for name in vehicle.scene.names) if vehicle else ())
 
 
 @dataclass(frozen=True)
@@ -117,7 +99,7 @@ def fired_fraction(mount: Mount) -> float:
     return ((high - low) % 360.0 or 360.0) / 360.0
 
 
-def most_returns_per_ns(mount: Mount, pace: Pace) -> float:
+def most_returns_per_ns(mount: Mount, pace: PacketPace) -> float:
     """The rate of a mount's returns if each ray returns."""
     return pace.firings * fired_fraction(mount) * len(RETURN_TYPES[mount.return_mode]) / pace.period_ns
 
@@ -213,7 +195,7 @@ class TaskRunner:
         return cls(threads, Progress(sensors, options.on_progress), options.on_rays)
 
 
-def map_chunks(task: Task, runner: TaskRunner, make: Callable[[Batch, Echoes], T]) -> Iterator[T]:
+def map_chunks(task: Task, runner: TaskRunner, make: Callable[[FiringBatch, Echoes], T]) -> Iterator[T]:
     """The results of `make` for the firings and echoes of each non-empty chunk, in the order of time, on threads."""
     timing = task.timing
     mount = task.mount
@@ -222,7 +204,7 @@ def map_chunks(task: Task, runner: TaskRunner, make: Callable[[Batch, Echoes], T
     total = task.duration_ns // pace.period_ns
     packets = max(min(task.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * simulator.width)), 1)
 
-    def work(batch: Batch, first: int) -> tuple[T, RayCounts] | None:
+    def work(batch: FiringBatch, first: int) -> tuple[T, RayCounts] | None:
         if not len(batch.sent_ns):
             return None
         found, counts = simulator.echoes(batch.firings, first)
@@ -241,7 +223,7 @@ def map_chunks(task: Task, runner: TaskRunner, make: Callable[[Batch, Echoes], T
             runner.progress.set(task.index, done_ns if number * packets < total else task.duration_ns)
 
 
-def _numbered(batches: Iterable[Batch]) -> Iterator[tuple[Batch, int]]:
+def _numbered(batches: Iterable[FiringBatch]) -> Iterator[tuple[FiringBatch, int]]:
     """Each batch with the number of its first firing."""
     first = 0
     for batch in batches:

@@ -9,16 +9,17 @@ from typing import Literal
 import numpy as np
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.ground_truth import Objects, load_objects, own_objects
-from lidarcfg.capture.manifest import Input, load_manifest, manifest_path
+from lidarcfg.capture.ground_truth import Objects, is_truth, load_objects, own_objects
+from lidarcfg.capture.manifest import DriveInputs, Input, load_manifest, manifest_path
+from lidarcfg.capture.pcap import SUFFIXES as CAPTURES
+from lidarcfg.capture.pcap import is_capture
 from lidarcfg.capture.selection import ALL, Selection
-from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_arrays
-from lidarcfg.config import kinds
+from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, concatenate, load_cloud
+from lidarcfg.config.kinds import YAML_SUFFIXES, likely_kind_of
 from lidarcfg.config.models import load_keys
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, inverse
-from lidarcfg.inputs import check_regular
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.units import SECOND_NS
@@ -29,13 +30,10 @@ from lidarcfg.world.scene_file import SceneFile
 from lidarcfg.world.vehicle import Vehicle, resolve_vehicle
 
 Kind = Literal["capture", "cloud", "truth", "rig", "study", "scene"]
-CAPTURES = (".pcap", ".pcapng", ".cap")
-YAMLS = (".yaml", ".yml", ".json")
 YAML_KINDS: tuple[Kind, ...] = ("study", "rig", "scene")
 APART_S = 86_400.0  # that the points may lie after the start of a trajectory
 BEFORE_S = 1.0  # that a sensor may fire before it
 SAME = ("rig", "trajectory", "at", "start")  # of captures that are shown together
-MAGIC = {bytes.fromhex(code) for code in ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23c4d", "0a0d0d0a")}
 
 
 @dataclass(frozen=True)
@@ -84,39 +82,22 @@ class Contents:
         return zero_ns if is_near(self.first_ns, zero_ns) else self.first_ns
 
 
-def kind_of(path: Path) -> Kind:
-    """The kind of a file, by its suffix or else its first bytes. Raises ConfigError for any other file."""
+def kind_to_show(path: Path) -> Kind:
+    """What a file is shown as. Raises ConfigError for what is not shown."""
     suffix = path.suffix.lower()
-    if suffix in CAPTURES:
-        return "capture"
     if suffix in SUFFIXES:
-        return "truth" if suffix == ".npz" and _is_truth(path) else "cloud"
-    if suffix in YAMLS:
-        return _yaml_kind(path)
-    check_regular(path)
-    with path.open("rb") as file:
-        if file.read(4) in MAGIC:
-            return "capture"
-    allowed = ", ".join((*CAPTURES, *SUFFIXES, *YAMLS))
+        return "truth" if suffix == ".npz" and is_truth(path) else "cloud"
+    if suffix in YAML_SUFFIXES:
+        found = likely_kind_of(load_keys(path))
+        for kind in YAML_KINDS:
+            if kind == found:
+                return kind
+        keys = ", ".join(SceneFile.model_fields)
+        raise ConfigError(f"{path}:1:1: is not a rig (sensors), a study (region) or a scene ({keys})")
+    if is_capture(path):
+        return "capture"
+    allowed = ", ".join((*CAPTURES, *SUFFIXES, *YAML_SUFFIXES))
     raise ConfigError(f"{path}: is not a capture, cloud, rig, study or scene; allowed: {allowed}")
-
-
-def _is_truth(path: Path) -> bool:
-    try:
-        return read_arrays(path, ("object_names", "intensity")).keys() == {"object_names"}  # a cloud may have both
-    except CloudError:  # loading it will say what is wrong
-        return False
-
-
-def _yaml_kind(path: Path) -> Kind:
-    values = load_keys(path)
-    found = kinds.likely_kind_of(values)
-    for kind in YAML_KINDS:
-        if kind == found:
-            return kind
-    raise ConfigError(
-        f"{path}:1:1: is not a rig (sensors), a study (region) or a scene ({', '.join(SceneFile.model_fields)})"
-    )
 
 
 def is_near(time_ns: int, zero_ns: int) -> bool:
@@ -146,7 +127,7 @@ def load_contents(
     the study's, or else that in the file `vehicle`, or else the rig's.
     Raises ConfigError, PacketError, CloudError, SceneError.
     """
-    files = [(kind_of(path), path) for path in map(example, paths)]
+    files = [(kind_to_show(path), path) for path in map(example, paths)]
 
     def of(kind: Kind) -> list[Path]:
         return [path for found, path in files if found == kind]
@@ -245,18 +226,6 @@ def _at_most_one(paths: list[Path], what: str) -> Path | None:
     return paths[0] if paths else None
 
 
-@dataclass(frozen=True)
-class DriveInputs:
-    """The rig that recorded captures, where and when; unknown parts are None."""
-
-    rig: Path | None = None
-    scene: Path | None = None
-    vehicle: Path | None = None
-    trajectory: Path | None = None
-    at: str | None = None  # X,Y,YAW_DEG
-    start: str | None = None  # ISO 8601
-
-
 def complete_inputs(
     files: Sequence[Path], given: DriveInputs, on_warning: Callable[[str], None]
 ) -> tuple[list[Path], DriveInputs]:
@@ -264,7 +233,7 @@ def complete_inputs(
 
     If a file of a manifest has changed since the export, it is omitted with a warning. Raises ConfigError.
     """
-    kinds = [kind_of(example(path)) for path in files]
+    kinds = [kind_to_show(example(path)) for path in files]
     captures = [path for path, kind in zip(files, kinds, strict=True) if kind == "capture"]
     found = [(manifest_path(path), load_manifest(path)) for path in captures if manifest_path(path).exists()]
     if not found:

@@ -1,11 +1,11 @@
 """Triangle meshes: of the shapes in a scene, and read from files."""
 
 import math
-import os
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -114,13 +114,13 @@ def read_mesh(path: Path) -> Mesh:
         raise SceneError(f"{path}: {NO_MESHES[path.suffix.lower()]}")
     if path.suffix.lower() in SUFFIXES:
         check_nodes(path)
-    plain = _binary_ply(path) if path.suffix.lower() == ".ply" else None
+    plain = _ply_mesh(path) if path.suffix.lower() == ".ply" else None
     if plain:
         check_mesh(str(path), plain)
         return plain
     import open3d as o3d
 
-    with suppress_stderr(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh = o3d.io.read_triangle_mesh(path)
     vertices = np.array(mesh.vertices, np.float64)
     triangles = np.array(mesh.triangles, np.int64)
@@ -138,33 +138,47 @@ def mesh_from(source: str | Triangles, folder: Path) -> Mesh:
     return read_mesh(folder / source)
 
 
-def _binary_ply(path: Path) -> Mesh | None:
-    """The mesh in a binary PLY file of triangles, without loading Open3D for a second; None for other files."""
-    with path.open("rb") as file:
-        if not re.match(rb"ply\r?\nformat binary_", file.read(20)):
-            return None
+def _ply_mesh(path: Path) -> Mesh | None:
+    """The mesh in a binary PLY file of triangles, without loading Open3D for a second; None for other PLY files.
+
+    These are whole: of damaged ones RPly in Open3D would print a line to stderr. Raises SceneError.
+    """
     import plyfile
 
     try:
-        data = plyfile.PlyData.read(str(path), known_list_len={"face": {"vertex_indices": 3}})
-        vertices = np.stack([np.asarray(data["vertex"][axis], np.float64) for axis in "xyz"], axis=1)
-        triangles = np.array(data["face"]["vertex_indices"], np.int64)
-    except (plyfile.PlyParseError, LookupError, ValueError, OverflowError, MemoryError):
-        return None
-    return (vertices, triangles) if len(triangles) else None
+        with path.open("rb") as file:
+            binary = re.match(rb"ply\r?\nformat binary_", file.read(20))
+        mesh = _triangles(path) if binary else None
+        if mesh is None:
+            _read_ply(path)
+    except (plyfile.PlyParseError, ValueError, OverflowError, MemoryError) as error:
+        raise SceneError.damaged(path, error) from None
+    return mesh
 
 
-@contextmanager
-def suppress_stderr() -> Iterator[None]:
-    """Discard what a library's C code prints to stderr."""
-    kept = os.dup(2)
+def _triangles(path: Path) -> Mesh | None:
+    """The mesh in a binary PLY file; None if not all of its faces are triangles."""
+    import plyfile
+
     try:
-        with open(os.devnull, "w") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        data = _read_ply(path, known_list_len={"face": {"vertex_indices": 3}})
+        vertices = np.stack([np.asarray(data["vertex"][axis], np.float64) for axis in "xyz"], axis=1)
+        triangles = data["face"]["vertex_indices"]
+    except (plyfile.PlyParseError, LookupError):
+        return None
+    return (vertices, triangles.astype(np.int64)) if triangles.ndim == 2 and len(triangles) else None
+
+
+def _read_ply(path: Path, **options: Any) -> Any:
+    """A PLY file by plyfile, which refuses comments that are not ASCII: they are read as question marks."""
+    import plyfile
+
+    try:
+        return plyfile.PlyData.read(str(path), **options)
+    except UnicodeDecodeError:
+        head, end, body = path.read_bytes().partition(b"end_header")
+        plain = head.decode("ascii", "replace").encode("ascii", "replace")
+        return plyfile.PlyData.read(BytesIO(plain + end + body), **options)
 
 
 def check_readable(path: Path, most: int) -> None:

@@ -1,4 +1,8 @@
-"""Closed bodies: which points are inside, and which edges are open where a mesh is not closed."""
+"""Closed bodies: which points are inside, and which edges are open where a mesh is not closed.
+
+Vertices are one where they are equal to the last bit, and parts may touch along edges: trimesh would also merge what is
+only near, split parts at edges of four triangles, and call a mesh with such edges open.
+"""
 
 from collections.abc import Sequence
 
@@ -11,9 +15,7 @@ from lidarcfg.world.meshes import Mesh
 
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-# What mixes the bits of coordinates, so that hardly any two places share a sum: odd numbers, as in splitmix64 (Vigna)
-SHIFT = np.uint64(29)
-MIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
+PLACE = np.dtype((np.void, 24))  # the bits of three float64
 
 
 def merge_vertices(mesh: Mesh) -> Mesh:
@@ -26,16 +28,10 @@ def merge_vertices(mesh: Mesh) -> Mesh:
 
 
 def unique_vertices(vertices: Array) -> tuple[Array, Index]:
-    """The distinct vertices among (V, 3), and the number of each vertex among them."""
-    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)  # -0 is 0
-    mixed = (bits ^ (bits >> SHIFT)) * MIX
-    mixed = (mixed ^ (mixed >> SHIFT)).sum(axis=1, dtype=np.uint64)
-    _, first, number = np.unique(mixed, return_index=True, return_inverse=True)
-    found = vertices[first]
-    if (found[number] == vertices).all():
-        return found, number
-    found, number = np.unique(vertices, axis=0, return_inverse=True)  # slower; two places have the same sum
-    return found, number.reshape(-1)
+    """The distinct vertices among (V, 3), and the number of each vertex among them: equal to the last bit."""
+    places = np.ascontiguousarray(vertices + 0.0).view(PLACE)[:, 0]  # -0 is 0
+    _, first, number = np.unique(places, return_index=True, return_inverse=True)
+    return vertices[first], number
 
 
 def open_edges(mesh: Mesh) -> Array:
@@ -50,26 +46,14 @@ def open_edges(mesh: Mesh) -> Array:
 
 def connected_components(mesh: Mesh) -> list[Mesh]:
     """The components of a mesh, its vertices merged: they share no vertex."""
+    from scipy.sparse import coo_array, csgraph
+
     vertices, triangles = mesh
-    component = _component_labels(len(vertices), triangles)[triangles[:, 0]]
+    ends = triangles[:, [0, 1, 1, 2]].reshape(-1, 2).T
+    graph = coo_array((np.ones(ends.shape[1], np.bool_), tuple(ends)), shape=(len(vertices), len(vertices)))
+    _, component = csgraph.connected_components(graph, directed=False)
+    component = component[triangles[:, 0]]
     return [(vertices, triangles[component == label]) for label in np.unique(component)]
-
-
-def _component_labels(vertices: int, triangles: Index) -> Index:
-    """(V,): for each of V vertices, the least of those that triangles connect it with.
-
-    By hooking and pointer jumping (Shiloach and Vishkin 1982).
-    """
-    least = np.arange(vertices)
-    while True:
-        of_corners = least[triangles]
-        lowest = of_corners.min(axis=1)
-        if (of_corners == lowest[:, None]).all():
-            return least
-        for corner in of_corners.T:
-            np.minimum.at(least, corner, lowest)
-        while ((further := least[least]) != least).any():
-            least = further
 
 
 def inside_grid(closed: Sequence[Mesh], x: Array, y: Array, z: Array) -> Flags:

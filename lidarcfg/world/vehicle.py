@@ -47,7 +47,7 @@ UNITS = {1.0: "metre", 0.001: "millimetre", 0.01: "centimetre", 0.0254: "inch"} 
 ORIGIN = 0.0, 0.0, 0.0
 
 
-class Body(Model):
+class BodyKeys(Model):
     """The keys of a vehicle's body besides those of a scene's object; it does not move."""
 
     reflectivity: Byte = 20
@@ -56,31 +56,31 @@ class Body(Model):
     exclude: bool = False  # cuboids whose centres are inside are no part of the region
 
 
-class BodyBox(Body, Box):
+class BodyBox(BodyKeys, Box):
     """A box of a vehicle."""
 
     center_m: Position = ORIGIN
 
 
-class BodySphere(Body, Sphere):
+class BodySphere(BodyKeys, Sphere):
     """A sphere of a vehicle."""
 
     center_m: Position = ORIGIN
 
 
-class BodyCylinder(Body, Cylinder):
+class BodyCylinder(BodyKeys, Cylinder):
     """A cylinder of a vehicle."""
 
     base_m: Position = ORIGIN
 
 
-class BodyPlane(Body, Plane):
+class BodyPlane(BodyKeys, Plane):
     """A rectangle of a vehicle."""
 
     center_m: Position = ORIGIN
 
 
-class BodyMesh(Body, MeshFile):
+class BodyMesh(BodyKeys, MeshFile):
     """A mesh of a vehicle."""
 
     position_m: Position = ORIGIN

@@ -9,7 +9,7 @@ from lidarcfg.capture.pcap import Datagram, write_pcap
 from lidarcfg.clouds.cloud import FIELDS, concatenate
 from lidarcfg.errors import PacketError
 from lidarcfg.sensors.rig import load_rig
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, write_datagrams
 

@@ -21,7 +21,7 @@ from lidarcfg.errors import PacketError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import load_rig
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.motion import Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning

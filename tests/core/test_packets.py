@@ -163,20 +163,21 @@ def test_written_and_read(maker):
     assert out.range_m[:3].tolist() == [0.5, 100, 2]
 
 
-@given(st.lists(st.integers(0, 65535), min_size=1, max_size=24), st.integers(1, 3), st.integers(-(2**40), 2**40))
-def test_steps_are_finite(azimuths, groups, gap_ns):
-    azimuth = np.array(azimuths[: len(azimuths) // groups * groups], np.uint16).reshape(-1, groups)
-    step, late_ns = packets.velodyne_turning(azimuth, np.full(len(azimuth), gap_ns), 1000, 100)
-    assert step.shape == late_ns.shape == azimuth.shape
-    assert (abs(step) <= 18000).all()
-
-
-def test_a_gap_in_the_field_of_view():
-    """Two degrees, then eight that are not sent: what comes after is late by what the next stamp shows."""
-    azimuth = np.array([[0, 100, 200, 1000], [1100, 1200, 1300, 1400]], np.uint16)
-    step, late_ns = packets.velodyne_turning(azimuth, np.array([1100, 0]), 400, 100)
-    assert step[0].tolist() == [100, 100, 100, 100]
-    assert late_ns.tolist() == [[0, 0, 0, 700], [0, 0, 0, 0]]
+@pytest.mark.parametrize("maker", MAKERS)
+def test_a_gap_in_the_field_of_view(maker):
+    """Three degrees, then seven that are not sent: what comes after is late by what the next stamp shows."""
+    azimuths = [0, 100, 200, *range(1000, 1900, 100)]
+    cells = {(2, 16): (1000, 1), (3, 16): (1000, 2), (11, 16): (1000, 3)}
+    data = np.concatenate([packet(maker, azimuths, cells), packet(maker, range(1900, 3100, 100), {(0, 16): (1000, 4)})])
+    decoder = MAKERS[maker][0](slots(), lasers(), 1200, 100, 0.01)
+    out = returns(4, polar=4)
+    wanted = np.ones(2, np.bool_)
+    stamp_ns = np.array([0, 1900])
+    kind = np.zeros(2, np.uint8)
+    assert decoder.decode(data, wanted, stamp_ns, np.array([1900, 0]), kind, out) == 4
+    assert out.intensity.tolist() == [1, 2, 3, 4]
+    assert np.degrees(out.azimuth_rad).tolist() == pytest.approx([2.5, 10.5, 18.5, 19.5])
+    assert out.time_ns.tolist() == [2 * 32 + 16, 3 * 32 + 16 + 700, 11 * 32 + 16 + 700, 1900 + 16]
 
 
 def hesai_lasers(**changed):
@@ -296,7 +297,6 @@ REFUSED = {
         np.broadcast_to(ONE, (1, 1206)),
     ),
     "laser: beyond": lambda: packets.uncorrect_velodyne_intensities(np.array([1]), np.zeros((1, 4)), ONE),
-    "gap_ns": lambda: packets.velodyne_turning(np.zeros((2, 3), np.uint16), np.zeros(1, np.int64), 1000, 100),
     "fields.loop": lambda: HESAI.decode(
         np.zeros((1, 40), np.uint8), YES, fields(loop=np.ones((1, 2), np.uint8)), returns(4)
     ),

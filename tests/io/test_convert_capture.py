@@ -23,8 +23,7 @@ from lidarcfg.errors import ConversionError, PacketError
 from lidarcfg.io.bag import save_bag, save_mcap
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning, recording, tilted_rig, write_datagrams
 

@@ -9,7 +9,7 @@ import lidarcfg
 from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import pose
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.motion import Motion, Trajectory, build_path
 from tests import command_line
 from tests.capture_fixtures import no_warning

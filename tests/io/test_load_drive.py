@@ -167,7 +167,6 @@ def test_what_is_refused(folder):
     assert "--truth goes by the manifest beside an exported capture" in message(
         "a.pcap", "--rig", "rig.yaml", "--truth", "a.npz", "-o", "no.mcap"
     )
-    assert "--truth are not for firings" in message("a.pcap", "--truth", "a.npz", "-o", "no.npz")
     (folder / "b.pcap").write_bytes((folder / "a.pcap").read_bytes())
     said = message("b.pcap", "--truth", "a.npz", *kitti)
     assert "b.pcap.yaml: the capture has no manifest; --truth and kitti-odometry" in said

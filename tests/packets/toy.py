@@ -4,7 +4,7 @@ import numpy as np
 
 from lidarcfg.config.models import Model, loads
 from lidarcfg.geometry import directions
-from lidarcfg.packets.codec import Codec, Decoder, DecodeStatistics, Payloads, Returns
+from lidarcfg.packets.codec import Codec, DecodedReturns, Decoder, DecodeStatistics, Payloads
 from lidarcfg.packets.facts import Header, Network
 from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor
@@ -88,4 +88,4 @@ class ToyDecoder(Decoder):
         time_ns, azimuth, range_mm, laser, strength = (returns[returns["range_mm"] > 0][key] for key in RETURN.names)
         xyz_m = directions(azimuth, self.sensor.elevation_rad[laser]) * (range_mm / 1000)[:, None]
         ring = self.sensor.ring[laser].astype(np.uint8)
-        return Returns(xyz_m, range_mm / 1000, azimuth, time_ns, laser, ring, strength, np.zeros_like(laser))
+        return DecodedReturns(xyz_m, range_mm / 1000, azimuth, time_ns, laser, ring, strength, np.zeros_like(laser))

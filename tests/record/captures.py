@@ -176,36 +176,15 @@ def _patterns(folder: Path) -> Answers:
     return answers
 
 
-def as_firings(folder: Path, path: Path, model: str | None) -> dict[str, object]:
-    """A capture as firings, and as a capture again."""
-    package.save_firings(folder / "firings.npz", path, model, quiet)
-    package.save_capture(folder / "again.pcap", folder / "firings.npz")
-    assert (folder / "again.pcap").read_bytes() == path.read_bytes()
-    with np.load(folder / "firings.npz") as columns:
-        return {key: columns[key] for key in sorted(columns) if columns[key].dtype.kind not in "USO"}
-
-
-@case("exports as firings")
-def _firings(folder: Path) -> Answers:
-    answers: dict[str, object] = {}
-    for model in ("vlp-16", "hdl-64e-s3", "qt128", "pandar-xt32", "helios-16p", "os0-32"):
-        keys = {"name": "a", "model": sensor(model), "position_m": [0, 0, 2], "return_mode": "dual"}
-        package.export(
-            package.rig_of(folder, [keys]), scene("block"), folder / "a.pcap", SHORT_S, at=AT, on_warning=quiet
-        )
-        answers |= named(model, as_firings(folder, folder / "a.pcap", sensor(model)))
-    return answers
-
-
 if CAPTURES:
     for each in RECORDINGS:
 
         @case(f"{RECORDING}{each}")
         def _recording(folder: Path, name: str = each) -> Answers:
-            """The points, scans and firings of a real sensor."""
+            """The points and scans of a real sensor."""
             path = Path(CAPTURES or "") / name
             model = RECORDINGS[name] and sensor(RECORDINGS[name])
             clouds = list(package.decode_pcap(path, quiet, model=model))
             answers = cloud_of(package.concatenate(clouds))
             lengths = [len(scan.xyz) for scan in package.scans(path, quiet, model=model)]
-            return answers | {"scans": np.array(lengths)} | named("firings", as_firings(folder, path, model))
+            return answers | {"scans": np.array(lengths)}

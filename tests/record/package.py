@@ -21,7 +21,6 @@ from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import view
 from lidarcfg.geometry import pose
-from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.front import front
@@ -33,7 +32,7 @@ from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.subspace import segment
 from lidarcfg.returns.counts import returns
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.motion import Trajectory, build_path, load_path
 from lidarcfg.world.tracer import NO_OBSTACLES, Tracer
 from lidarcfg.world.vehicle import load_vehicle
@@ -74,8 +73,6 @@ __all__ = [
     "returns",
     "rig_lidars",
     "rig_of",
-    "save_capture",
-    "save_firings",
     "scans",
     "seen_cuboids",
     "segment",

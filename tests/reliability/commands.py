@@ -67,7 +67,6 @@ COMMANDS = BRIEF | {
     "decode to .npz": Command("decode {0}.pcap -o d.npz", ("d.npz",)),
     "convert a cloud": Command("convert {0}.ply -o c.las", ("c.las",)),
     "convert a capture": Command("convert {0}.pcap -o bag", ("bag",)),
-    "convert to firings": Command("convert {0}.pcap -o firings.npz", ("firings.npz",)),
     "view to .png": Command("view {0}-rig.yaml scene.yaml --size 320x200 --png v.png", ("v.png",)),
     "view to .html": Command("view {0}-rig.yaml --html v.html", ("v.html",)),
 }

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement, reached
+from lidarcfg.requirements.object_requirement import ObjectJudge, ObjectRequirement
+from lidarcfg.requirements.place_counts import reached
 from lidarcfg.returns.known import lowest_at
 from lidarcfg.returns.places import Stand, Zone
 from lidarcfg.returns.target import box_target
@@ -24,7 +25,9 @@ def requirement(within_m=(0.3, 2.5), size_m=(0.5, 0.5, 1.0), headings_deg=(0,), 
     target = box_target(size_m)
     zone = Zone(Footprint.of(BODY), within_m)
     stand = Stand(zone, Footprint.of(target.mesh), np.radians(headings_deg), 0.0, None)
-    return ObjectRequirement(**{"name": "box", "target": target, "stand": stand, "returns": 10} | changes)
+    return ObjectRequirement(
+        **{"name": "box", "target": target, "stand": stand, "returns": 10, "obstacles": AROUND} | changes
+    )
 
 
 def random_rig(rng, count=3):
@@ -55,4 +58,4 @@ def brute_force(item, mounts, step_m=0.05, headings_deg=None):
 
 def verdict(item, mounts, robust=None):
     """The verdict on a rig by one requirement."""
-    return ObjectJudge(item, AROUND, robust).judge(mounts)
+    return ObjectJudge(replace(item, robust=robust)).judge(mounts)

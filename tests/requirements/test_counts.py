@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lidarcfg.requirements.objects import reached
+from lidarcfg.requirements.place_counts import reached
 from lidarcfg.returns.counts import returns
 from lidarcfg.returns.known import KnownReturns, Standing, lowest_at, shares, united
 from lidarcfg.returns.scanners import poses_of, scanners_of

@@ -12,11 +12,13 @@ from lidarcfg.report.evidence import draw_map
 from lidarcfg.report.html import FailCell
 from lidarcfg.report.verification import margins_table, verdict_table
 from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
-from lidarcfg.requirements.objects import CAP_MAX, ObjectJudge, reached
-from lidarcfg.requirements.posts import PostJudge, PostPlaces, PostRequirement
+from lidarcfg.requirements.object_requirement import CAP_MAX, ObjectJudge
+from lidarcfg.requirements.place_counts import reached
+from lidarcfg.requirements.post import PostJudge, PostRequirement
+from lidarcfg.requirements.post_visibility import PostPlaces
 from lidarcfg.requirements.shadow import ShadowJudge
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
-from lidarcfg.requirements.verify import Verifier, verification
+from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.known import lowest_at
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.world.footprint import Footprint
@@ -61,17 +63,23 @@ def files(tmp_path_factory):
     return folder
 
 
+def verification(study, mounts):
+    """The verdict on a rig, with the evidence."""
+    verifier = Verifier(study.requirements)
+    return verifier.verification(mounts, verifier.verify(mounts))
+
+
 @pytest.fixture(scope="module")
 def found(files):
     study = load_study(files / "study.yaml")
-    return study, verification(Verifier(study.requirements), load_rig(files / "rig.yaml").mounts)
+    return study, verification(study, load_rig(files / "rig.yaml").mounts)
 
 
 def test_counts_are_those_of_each_position_at_its_worst_heading():
     """Counted anew at every place, heading by heading."""
     item = requirement(headings_deg=(0, 45), returns=40)
     mounts = random_rig(np.random.default_rng(1))
-    counts = ObjectJudge(item, AROUND).counts(mounts)
+    counts = ObjectJudge(item).counts(mounts)
     places = item.stand.base
     alone = reached(lowest_at(places, item.target, mounts, AROUND, ALL, 4).counts, 0, None)
     least = {}
@@ -128,13 +136,13 @@ def test_margins_are_those_of_rigs_without_a_sensor_and_with_one_moved(changes):
     """Beside the counts, at the verdict's places, of rigs of which a sensor was taken, or moved."""
     item = requirement((2.2, 2.4), returns=30, **changes)
     mounts = random_rig(np.random.default_rng(2))
-    judge = ObjectJudge(item, AROUND)
+    judge = ObjectJudge(item)
     found = judge.margins(mounts)
     places = judge.refined(mounts).every.places
 
     def value(rig, lost=item.lost):
         """What the position that decides has, exact below the cap."""
-        fresh = ObjectJudge(replace(item, lost=lost), AROUND)
+        fresh = ObjectJudge(replace(item, lost=lost))
         measured = fresh.measured_at(places, rig, CAP_MAX) if item.at_least == 1 else fresh.measured(rig, CAP_MAX)
         least = {}
         for (x, y), count in zip(measured.places[:, :2].tolist(), measured.values.tolist(), strict=True):
@@ -142,7 +150,7 @@ def test_margins_are_those_of_rigs_without_a_sensor_and_with_one_moved(changes):
         best = sorted(least.values(), reverse=True)
         return min(best[math.ceil(item.at_least * len(best)) - 1], judge.first_cap)
 
-    reached_in_all = ObjectJudge(item, AROUND).judge(mounts).reached
+    reached_in_all = ObjectJudge(item).judge(mounts).reached
     assert min(found.whole, found.cap) == min(reached_in_all, found.cap) == value(mounts)
     for n in range(len(mounts)):
         assert min(found.without[n], found.cap) == value(without(mounts, n), 0)
@@ -156,8 +164,8 @@ def test_sensors_whose_loss_breaks_it_are_those_without_which_it_fails():
     """Clusters at eight of ten positions, where that is met; beside verdicts on the rigs without each."""
     item = requirement((2.25, 2.3), returns=90, cluster_m=0.3, at_least=0.8)
     mounts = random_rig(np.random.default_rng(2))
-    found = ObjectJudge(item, AROUND).judge(mounts)
-    passing = [n for n in range(3) if ObjectJudge(item, AROUND).judge(without(mounts, n)).passed]
+    found = ObjectJudge(item).judge(mounts)
+    passing = [n for n in range(3) if ObjectJudge(item).judge(without(mounts, n)).passed]
     assert found.passed
     assert 0 < len(passing) < 3
     assert found.breaking == tuple(mounts[n].name for n in range(3) if n not in passing)
@@ -224,10 +232,10 @@ def test_what_is_never_seen_is_nothing_but_a_gap():
 
 def test_hidden_heights_add_up_to_the_shadow(found):
     _, shown = found
-    hidden = shown.evidence[2].hidden
+    hidden = shown.evidence[2].map
     volume_m3 = float(hidden.height_m.sum()) * hidden.side_m**2
     assert volume_m3 == pytest.approx(shown.verdict.requirements[2].reached)
-    assert not shown.evidence[3].has_map
+    assert shown.evidence[3].map is None
 
 
 def test_the_verdict_says_how_far_apart_posts_and_points_are(found):
@@ -254,7 +262,7 @@ def test_the_map_shows_the_whole_box(files):
     (files / "box.yaml").write_text(text)
     study = load_study(files / "box.yaml")
     rig = load_rig(files / "rig.yaml")
-    shown = verification(Verifier(study.requirements), rig.mounts)
+    shown = verification(study, rig.mounts)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lidarcfg.report.evidence.finish_map", lambda axes, low, high: drawn.append((low, high)))
         draw_map(shown.evidence[0], rig, 0)

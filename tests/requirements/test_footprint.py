@@ -53,6 +53,34 @@ def test_distances_by_plain_loops():
             assert found == pytest.approx(naive.distance_m(corners, outline), abs=1e-9)
 
 
+PLANE = Footprint.of(
+    (np.array([[0.0, -0.3, 0], [0, 0.3, 0], [0, 0.3, 2], [0, -0.3, 2]]), np.array([[0, 1, 2], [0, 2, 3]]))
+)
+PAIR = Footprint.of(join_meshes([moved(box(0.2, 0.2, 1.0), 0.3, 0.0), moved(box(0.1, 0.3, 1.0), -0.3, 0.1)]))
+
+
+@pytest.mark.parametrize("item", [OBJECT, PLANE, PAIR], ids=["box", "plane", "two parts"])
+@pytest.mark.parametrize("within_m", [(0.0, 0.6), (0.4, 1.5), (1.0, math.inf)])
+def test_a_zone_holds_the_places_at_its_distances(item, within_m):
+    """Beside the distances of all parts, whose shapes are more than circles; within the zone nothing meets the body."""
+    rng = np.random.default_rng(4)
+    body = Footprint.of(U)
+    places = np.insert(rng.uniform((-4, -3, 0), (4, 5, 2 * math.pi), (3000, 3)), 2, 0.0, axis=1)
+    distance_m = body.to_objects_m(item, places)
+    expected = (distance_m > 0) & (distance_m >= within_m[0]) & (distance_m <= within_m[1])
+    assert 0.02 < expected.mean() < 0.9
+    assert (Stand(Zone(body, within_m), item, np.zeros(1), 0.0).holds(places) == expected).all()
+    assert (body.are_beside(*within_m, item, places) == (distance_m > within_m[0]) & (distance_m <= within_m[1])).all()
+    assert item.inner_radius_m <= np.linalg.norm(np.concatenate(item.outlines_m), axis=1).min()
+
+
+def test_the_circle_within_a_footprint_by_hand():
+    """Half the lesser side about the middle; none where the origin is on an edge, or between two parts."""
+    assert OBJECT.inner_radius_m == pytest.approx(0.1, abs=1e-5)
+    assert Footprint.of(U).inner_radius_m == pytest.approx(0.5, abs=1e-5)
+    assert (PLANE.inner_radius_m, PAIR.inner_radius_m) == (0.0, 0.0)
+
+
 def test_holes_are_filled_and_bays_are_kept():
     ring = join_meshes([U, moved(BAR, 0.0, 3.0)])  # closes the notch
     assert Footprint.of(U).shape.area == pytest.approx(8.0, abs=1e-4)

@@ -11,15 +11,15 @@ from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
 from lidarcfg.requirements import scenario_run
+from lidarcfg.requirements.approach import Approach, VehicleExtent
 from lidarcfg.requirements.braking import COMFORT, EMERGENCY, Braking
-from lidarcfg.requirements.objects import LOW_M
-from lidarcfg.requirements.scenario import Approach, Extent, ScenarioFile, load_scenario, presets
+from lidarcfg.requirements.scenario_file import ScenarioFile, load_scenario, presets
 from lidarcfg.requirements.scenario_run import Rule, ScenarioRun, check_scenario, drive_of, needed
 from lidarcfg.requirements.sight import earliest_sight, places_within
+from lidarcfg.returns.counts import LOW_M
 from lidarcfg.returns.target import ObjectFile
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.boxes import boxed_objects
 from lidarcfg.world.vehicle import load_vehicle
 from tests.naive import scenario as naive
@@ -27,7 +27,7 @@ from tests.naive.requirements import largest_cluster
 from tests.returns_cases import mount
 
 SEDAN = "data/vehicles/sedan.ply"
-CAR = Extent(front_m=2.4, rear_m=-2.4, right_m=-0.95, left_m=0.95)  # 1.9 m wide
+CAR = VehicleExtent(front_m=2.4, rear_m=-2.4, right_m=-0.95, left_m=0.95)  # 1.9 m wide
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,7 @@ from lidarcfg.report.plots import save_figure
 from lidarcfg.report.scenario import draw_scenario, save_drive
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import load_rig
-from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.vehicle import rig_vehicle

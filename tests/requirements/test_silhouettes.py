@@ -13,8 +13,10 @@ import shapely
 from lidarcfg.geometry import pose, transform
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
-from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement, reached
-from lidarcfg.requirements.posts import STEP_M, PostJudge, PostPlaces, PostRequirement
+from lidarcfg.requirements.object_requirement import ObjectJudge, ObjectRequirement
+from lidarcfg.requirements.place_counts import reached
+from lidarcfg.requirements.post import PostJudge, PostRequirement
+from lidarcfg.requirements.post_visibility import STEP_M, PostPlaces
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.known import lowest_at
 from lidarcfg.returns.places import Stand, Zone
@@ -25,7 +27,7 @@ from lidarcfg.world.meshes import join_meshes
 from lidarcfg.world.scene import build_scene
 from lidarcfg.world.scene_file import SceneFile
 from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles, build_bvh
-from tests.requirements.cases import BODY
+from tests.requirements.cases import AROUND, BODY
 from tests.returns_cases import at_place, box, mount
 from tests.simulate.test_returns import obstacles
 
@@ -57,7 +59,9 @@ def requirement(size_m, within_m, **changes):
     """A box around BODY."""
     target = box_target(size_m)
     stand = Stand(Zone(Footprint.of(BODY), within_m), Footprint.of(target.mesh), np.zeros(1), 0.0)
-    return ObjectRequirement(**{"name": "box", "target": target, "stand": stand, "returns": 3} | changes)
+    return ObjectRequirement(
+        **{"name": "box", "target": target, "stand": stand, "returns": 3, "obstacles": AROUND} | changes
+    )
 
 
 def barred(rng, fan):
@@ -86,8 +90,9 @@ def barred(rng, fan):
     for _ in range(int(rng.integers(0, 4))):
         size_m = (*[rng.uniform(0.005, 0.02)] * 2, rng.uniform(0.3, 1.2))
         bars.append(bar(rng.uniform((-1.2, -0.8, 1.3), (1.2, 0.8, 2.0)), size_m, rng.uniform(0, math.pi, 3)))
-    item = requirement((width_m, width_m, height_m), (least_m, least_m + 2.0))
-    return item, mounts, obstacles(join_meshes([BODY, *bars]))
+    around = obstacles(join_meshes([BODY, *bars]))
+    item = requirement((width_m, width_m, height_m), (least_m, least_m + 2.0), obstacles=around)
+    return item, mounts, around
 
 
 def brute_force(item, mounts, around, step_m):
@@ -174,7 +179,7 @@ def antenna(fan):
 def test_an_antenna_hides_an_object(fan):
     """None of the base grid's places is hidden, and one in the antenna's shadow is: by Open3D, at all azimuths."""
     mounts, mesh = antenna(fan)
-    judge = ObjectJudge(requirement((0.1, 0.1, 1.0), (6, 12)), obstacles(mesh))
+    judge = ObjectJudge(requirement((0.1, 0.1, 1.0), (6, 12), obstacles=obstacles(mesh)))
     assert judge.measured(mounts, 100).values.min() > 0
     found = judge.judge(mounts)
     assert found.reached == 0
@@ -235,7 +240,7 @@ def beside_brute_force(rigs, seed, fan):
     for number in range(rigs):
         item, mounts, around = barred(rng, fan)
         least = brute_force(item, mounts, around, 0.04)
-        judge = ObjectJudge(item, around)
+        judge = ObjectJudge(item)
         between += least == 0 and judge.measured(mounts, 20).values.min() > 0
         got = judge.judge(mounts).reached
         if got > least + 1 or (least == 0 and got > 0):

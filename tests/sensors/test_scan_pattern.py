@@ -14,7 +14,7 @@ from lidarcfg.packets.families import timing
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
-from lidarcfg.requirements.scenario import load_scenario
+from lidarcfg.requirements.scenario_file import load_scenario
 from lidarcfg.requirements.scenario_run import Rule, check_scenario
 from lidarcfg.returns.beams import passing_beams
 from lidarcfg.returns.counts import returns

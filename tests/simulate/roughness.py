@@ -12,11 +12,10 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from lidarcfg.capture.reader import CaptureReader, Recording
+from lidarcfg.capture.reader import CaptureReader
 from lidarcfg.geometry import Array, directions
-from lidarcfg.packets.codec import Measurements
-from lidarcfg.packets.families import codec
 from lidarcfg.sensors.sensor import Sensor
+from tests.packets.measured import Measured, measured
 
 REVOLUTIONS = 4  # of a recording that are looked at, evenly spread
 PLANES = 12
@@ -81,13 +80,13 @@ class Shots:
             yield slice(*whole[i])
 
 
-def shots(sensor: Sensor, found: Measurements) -> Shots:
+def shots(sensor: Sensor, found: Measured) -> Shots:
     """The firings of a sensor whose sequences are whole, as recorded."""
     shape = (-1, sensor.count)
-    laser = found.batch.firings.laser
+    laser = found.firings.laser
     if len(laser) % sensor.count or (laser.reshape(shape) != np.arange(sensor.count)).any():
         raise ValueError(f"{sensor.name}: its lasers take turns; only sensors of which all fire in turn are measured")
-    azimuth = found.batch.firings.encoder_rad.reshape(shape) + sensor.azimuth_offset_rad
+    azimuth = found.firings.encoder_rad.reshape(shape) + sensor.azimuth_offset_rad
     elevation = np.broadcast_to(sensor.elevation_rad, azimuth.shape)
     left = np.broadcast_to(sensor.lateral_offset_m, azimuth.shape)
     up = sensor.vertical_offset_m
@@ -106,20 +105,12 @@ def shots(sensor: Sensor, found: Measurements) -> Shots:
     )
 
 
-def measurements(one: Recording) -> Measurements:
-    """Of the packets of the return mode that most of a source's are of."""
-    maker = codec(one.sensor)
-    modes = maker.return_modes(one.source, one.packets)
-    mode = int(np.argmax(np.bincount(modes)))
-    return maker.measurements(one.source, one.packets[modes == mode], one.host_ns[modes == mode], mode)
-
-
 def read(path: Path, model: str | None) -> dict[str, Shots]:
     """The sources of a capture, called as the file or, if there are more, as the file and the source."""
     sources = CaptureReader(path, lambda warning: None, model=model).recordings()
     return {
         path.stem if len(sources) == 1 else f"{path.stem} {one.name.removesuffix(':2368')}": shots(
-            one.sensor, measurements(one)
+            one.sensor, measured(one)
         )
         for one in sources
     }

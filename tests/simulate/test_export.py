@@ -24,8 +24,9 @@ from lidarcfg.inputs import check_room
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import custom_sensor
-from lidarcfg.simulate.tasks import START_NS, Drive, SimulationOptions
-from lidarcfg.units import SECOND_NS, TIME_END_NS
+from lidarcfg.simulate.drive import Drive
+from lidarcfg.simulate.tasks import SimulationOptions
+from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
 from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer

@@ -10,11 +10,10 @@ import yaml
 from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
-from lidarcfg.io.firings import ANY_RANGE
 from lidarcfg.placement.cones import sensor_lidar
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
-from lidarcfg.sensors.sensor import catalogue, load_sensor
+from lidarcfg.sensors.sensor import Reported, catalogue, load_sensor
 from lidarcfg.simulate.echoes import Echoes, add_noise, drop_one_return, laser_errors_m
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
@@ -255,7 +254,7 @@ def test_nothing_beyond_what_is_reported_is_on_the_wire(tmp_path, model):
     kind, begin, (blocks, size, head), (returns, width), unit_m = WIRE[model]
     sensor = load_sensor(model)
     stage = scene(tmp_path, "ground: {reflectivity: 50}")
-    limitless = sensor.range.model_copy(update={"reported": ANY_RANGE})
+    limitless = sensor.range.model_copy(update={"reported": Reported(source="", min_m=0, max_m=10_000)})
     found = []
     for one in (sensor, sensor.model_copy(update={"range": limitless})):
         range_m = []

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
+from lidarcfg.capture.manifest import DriveInputs, parse_time_ns
 from lidarcfg.capture.selection import ALL
-from lidarcfg.cli.options import load_trajectory, nanoseconds
 from lidarcfg.geometry import pose, transform
-from lidarcfg.viewer.contents import DriveInputs, complete_inputs, load_contents
+from lidarcfg.viewer.contents import complete_inputs, load_contents
 from lidarcfg.viewer.page import page_of, save_html
 from lidarcfg.viewer.timeline import mesh_at, parts, timeline, tracks
 from tests.capture_fixtures import no_warning
@@ -20,6 +20,7 @@ from tests.viewer.driver import click, different, in_browser, on_screen, opened,
 SPEED = 12.0
 RATE_DEG = 40.0
 AT = (1.0, 2.0, 20.0)
+START_NS = parse_time_ns("2026-05-01T10:00:00")
 VAN = {"name": "van", "center_m": [16, 3, 1.5], "size_m": [5, 2, 3], "reflectivity": 60}
 SCENE = {
     "name": "yard",
@@ -61,7 +62,7 @@ def here(tmp_path_factory):
 def contents(here):
     """The capture alone is named; all else is noted beside it."""
     paths, known = complete_inputs([here / "drive.pcap"], DriveInputs(), pytest.fail)
-    drive = load_trajectory(known.trajectory, known.at, nanoseconds(known.start))
+    drive = known.motion()
     return load_contents(paths, known.rig, None, drive, no_warning, ALL, known.vehicle)
 
 
@@ -85,7 +86,7 @@ def outside(points, center, size):
 def test_all_points_lie_where_they_were_hit(contents):
     """In the world, each on the ground, on the house, or on van and sphere where these were at the point's time."""
     world = transform(contents.T_world_vehicle, contents.cloud.xyz)
-    seconds = (contents.cloud.time_ns - nanoseconds("2026-05-01T10:00:00")) / 1e9
+    seconds = (contents.cloud.time_ns - START_NS) / 1e9
     house, van = SCENE["boxes"]
     moved = np.column_stack([9 * seconds, 0 * seconds, 0 * seconds])
     fallen = np.column_stack([0 * seconds, -4 * seconds, 0 * seconds])
@@ -104,7 +105,7 @@ def test_all_points_lie_where_they_were_hit(contents):
 def test_far_from_the_origin_nothing_is_lost(here, contents):
     """At UTM coordinates points and sensors are the same, bit for bit: the page's frame is the vehicle's."""
     paths, known = complete_inputs([here / "drive.pcap"], DriveInputs(at="450000,5400000,20"), pytest.fail)
-    drive = load_trajectory(known.trajectory, known.at, nanoseconds(known.start))
+    drive = known.motion()
     far = load_contents(paths[:1], known.rig, None, drive, no_warning)
     assert (far.cloud.xyz == contents.cloud.xyz).all()
     assert far.T_world_vehicle[:2, 3] - contents.T_world_vehicle[:2, 3] == pytest.approx([449999, 5399998], abs=1e-8)
@@ -114,9 +115,8 @@ def test_far_from_the_origin_nothing_is_lost(here, contents):
 def test_the_frames_have_the_vehicle_and_the_objects_where_they_are(contents):
     """At the middle of each frame of 100 ms: on the arc, and where constant velocities lead."""
     line = timeline(contents)
-    start_ns = nanoseconds("2026-05-01T10:00:00")
     assert line.frames.tolist() == [0, 1, 2, 3]
-    first = (contents.first_ns - start_ns) / 1e9
+    first = (contents.first_ns - START_NS) / 1e9
     found = tracks(contents, line)
     assert found.shape == (3, 4, 7)
     to_page = np.linalg.inv(on_arc(first))
@@ -147,7 +147,7 @@ def test_parts_of_a_scene_make_the_whole(contents):
 def test_the_page_shows_one_time(chromium, contents, tmp_path):
     """The vehicle's sensor is on the arc in each frame; the camera follows; scans accumulate; the whole is deskewed."""
     mount = np.array([0.5, 0, 2])
-    first = (contents.first_ns - nanoseconds("2026-05-01T10:00:00")) / 1e9
+    first = (contents.first_ns - START_NS) / 1e9
     to_page = np.linalg.inv(on_arc(first))
     there = "const m = lidarcfg.stage.vehicle.children.find((o) => o.children.length === 3); return m.getWorldPosition(m.position.clone()).toArray()"
     shown = "const { time } = lidarcfg.cloud.arrays; const { first, last } = lidarcfg.cloud; return time.filter((t) => t >= first && t <= last).length"
@@ -184,17 +184,17 @@ def test_the_page_shows_one_time(chromium, contents, tmp_path):
 
 def test_a_drive_without_a_capture(here):
     """Rig, scene and trajectory alone have a timeline, too: of ten seconds, or of the timed poses."""
-    drive = load_trajectory(here / "arc.yaml", "0,0,0", nanoseconds("2026-01-01"))
+    drive = DriveInputs(trajectory=here / "arc.yaml").motion()
     staged = load_contents([here / "top.yaml", here / "yard.yaml"], None, None, drive, no_warning)
     line = timeline(staged)
     assert (len(line.frames), line.frame) == (100, 100_000)
     assert tracks(staged, line)[0, 50, :2] == pytest.approx(arc(5.05)[:2], abs=1e-6)
     (here / "p.tum").write_text("2 0 0 0 0 0 0 1\n2.45 4.5 0 0 0 0 0 1\n")
-    staged = load_contents([here / "top.yaml"], None, None, load_trajectory(here / "p.tum", "0,0,0", 0), no_warning)
+    staged = load_contents([here / "top.yaml"], None, None, DriveInputs(trajectory=here / "p.tum").motion(), no_warning)
     line = timeline(staged)
     assert tracks(staged, line)[0, :, 0] == pytest.approx([0.5, 1.5, 2.5, 3.5, 4.5], abs=1e-6)
     (here / "p.tum").write_text("0 0 0 0 0 0 0 1\n1e9 4.5 0 0 0 0 0 1\n")
-    staged = load_contents([here / "top.yaml"], None, None, load_trajectory(here / "p.tum", "0,0,0", 0), no_warning)
+    staged = load_contents([here / "top.yaml"], None, None, DriveInputs(trajectory=here / "p.tum").motion(), no_warning)
     assert len(timeline(staged).frames) == 36_000
     assert tracks(staged, timeline(staged))[0, -1, 0] == pytest.approx(4.5 * (1 - 0.5 / 36_000))
     assert timeline(load_contents([here / "top.yaml"], None, None, np.eye(4), no_warning)) is None

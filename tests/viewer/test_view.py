@@ -29,7 +29,7 @@ from lidarcfg.sensors.rig import Rig, load_rig, rig_text
 from lidarcfg.viewer.bodies import faces, score
 from lidarcfg.viewer.camera import Camera
 from lidarcfg.viewer.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, point_colours, rgb, scaled
-from lidarcfg.viewer.contents import Contents, kind_of, load_contents
+from lidarcfg.viewer.contents import Contents, kind_to_show, load_contents
 from lidarcfg.viewer.still import save_still
 from lidarcfg.viewer.window import parts
 from lidarcfg.world.motion import Trajectory
@@ -266,7 +266,7 @@ def test_files_are_recognised(tmp_path):
     kinds = [(STUDY, "study"), (ROOF, "rig"), (STREET, "scene"), (tmp_path / "c.npz", "cloud")]
     kinds += [(tmp_path / "t.npz", "truth"), (tmp_path / "raw", "capture"), (Path("x.pcapng"), "capture")]
     for path, kind in kinds:
-        assert kind_of(path) == kind
+        assert kind_to_show(path) == kind
 
 
 @pytest.mark.parametrize(

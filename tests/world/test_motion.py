@@ -14,8 +14,7 @@ from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, build_path, load_path
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import datagrams_of, mount, no_warning, scene, tilted_rig

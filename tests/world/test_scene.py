@@ -148,17 +148,32 @@ def test_refused(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "no triangles"),
-        ("hello", "no triangles"),
-        (PLY.format(n=3, m=1) + "0 0 0\n1 0", "no triangles"),
+        ("", "not a whole ply file: line 1: expected 'ply'"),
+        ("hello", "not a whole ply file: line 1: expected 'ply'"),
+        (PLY.format(n=3, m=1) + "0 0 0\n1 0", "not a whole ply file: element 'vertex': row 1: property 'z': early end"),
+        (PLY.format(n=3, m=0) + "0 0 0\n1 0 0\n0 1 0\n", "no triangles"),
         (PLY.format(n=3, m=1) + "0 0 0\n1 0 0\nnan 1 0\n3 0 1 2\n", "vertex 2 is not finite"),
         (PLY.format(n=3, m=1) + "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "a triangle names vertex 7; there are 3"),
     ],
 )
-def test_unsound_mesh(tmp_path, content, message):
+def test_unsound_mesh(tmp_path, content, message, capfd):
+    """One error, and no library says anything besides."""
     (tmp_path / "m.ply").write_text(content)
     with refused(message, r"scene\.yaml:2:20: meshes\[0\]\.file: .*m\.ply: ", ConfigError):
         scene(tmp_path, "meshes: [{name: m, file: m.ply, position_m: [0, 0, 0], reflectivity: 1}]")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("text", [True, False])
+def test_comments_need_not_be_ascii(tmp_path, text):
+    vertex = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [("x", "f8"), ("y", "f8"), ("z", "f8")])
+    face = np.array([([0, 1, 2],)], [("vertex_indices", "i4", (3,))])
+    elements = [plyfile.PlyElement.describe(vertex, "vertex"), plyfile.PlyElement.describe(face, "face")]
+    plyfile.PlyData(elements, text=text, comments=["by Muller"]).write(str(tmp_path / "m.ply"))
+    (tmp_path / "m.ply").write_bytes((tmp_path / "m.ply").read_bytes().replace(b"Muller", "Müller".encode()))
+    vertices, triangles = read_mesh(tmp_path / "m.ply")
+    assert vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    assert triangles.tolist() == [[0, 1, 2]]
 
 
 def test_mesh_without_permission(tmp_path, monkeypatch):

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 import pytest
-from scipy.sparse import coo_array, csgraph
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, transform
@@ -130,12 +129,22 @@ def strip(vertices):
     ],
     ids=["random", "long and shuffled", "cut", "none"],
 )
-def test_parts_are_the_components_of_the_graph_by_scipy(triangles):
-    (a, b, c), size = triangles.T, triangles.max(initial=0) + 1
-    graph = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(size, size))
-    part = csgraph.connected_components(graph, directed=False)[1][a]
-    found = [corners for _, corners in connected_components((np.zeros((size, 3)), triangles))]
-    expected = [triangles[part == number] for number in np.unique(part)]
+def test_parts_are_what_a_walk_from_triangle_to_triangle_reaches(triangles):
+    vertices = np.zeros((triangles.max(initial=0) + 1, 3))
+    around = {}
+    for number, corners in enumerate(triangles.tolist()):
+        for corner in corners:
+            around.setdefault(corner, []).append(number)
+    part = {}
+    for start in sorted(around):  # parts come in the order of their first vertices
+        ahead = around[start]
+        while ahead:
+            ahead = [number for number in ahead if number not in part]
+            part |= dict.fromkeys(ahead, start)
+            ahead = [other for number in ahead for corner in triangles[number].tolist() for other in around[corner]]
+    of = np.array([part[number] for number in range(len(triangles))], np.int64)
+    expected = [triangles[of == start] for start in np.unique(of)]
+    found = [corners for _, corners in connected_components((vertices, triangles))]
     assert len(found) == len(expected)
     assert all(np.array_equal(one, other) for one, other in zip(found, expected, strict=True))
 

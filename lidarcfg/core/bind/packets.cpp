@@ -202,27 +202,6 @@ void bind_blocks(nb::module_& module, const char* decoder, const char* write) {
 void bind_velodyne(nb::module_& module) {
   bind_blocks<packets::Velodyne>(module, "VelodyneDecoder", "write_velodyne_returns");
   def(
-      module, "velodyne_turning",
-      [](Rows<const std::uint16_t> azimuth, View<const std::int64_t> gap_ns, std::int64_t period_ns,
-         std::int64_t group_ns) {
-        const std::size_t rows = azimuth.rows();
-        const std::size_t groups = azimuth.columns();
-        require(groups > 0, "azimuth: at least one for each packet");
-        require(gap_ns.size() == rows, "gap_ns: one for each packet");
-        check_times(period_ns, group_ns);
-        packets::VelodyneTurning turning(groups, period_ns, group_ns);
-        std::tuple<Array<double, 2>, Array<std::int64_t, 2>> out{{{}, {rows, groups}}, {{}, {rows, groups}}};
-        auto& [step, late_ns] = out;
-        for (Index p = 0; p < azimuth.rows(); ++p) {
-          const bool more = p + 1 < azimuth.rows();
-          turning.advance(azimuth[p], more ? azimuth(p + 1, 0) : 0, more ? gap_ns[p] : 0);
-          step.values.insert(step.values.end(), turning.step().begin(), turning.step().end());
-          late_ns.values.insert(late_ns.values.end(), turning.late_ns().begin(), turning.late_ns().end());
-        }
-        return out;
-      },
-      "The steps between azimuths, and how late each group is.", "azimuth", "gap_ns", "period_ns", "group_ns");
-  def(
       module, "write_velodyne_near_returns",
       [](Rows<const double> range_m, Bytes reflectivity, Rows<const double> azimuth, View<const std::int64_t> number,
          View<const std::int64_t> laser, const packets::NearLasers& lasers, std::array<double, 4> limits,

@@ -58,7 +58,7 @@ HOUSING = "_base_link"  # ends the names of frames at the base of a housing
 
 
 @dataclass(frozen=True)
-class Frame:
+class LidarFrame:
     """The frame of a LiDAR."""
 
     name: str
@@ -75,7 +75,7 @@ class Kit:
 
     where: str  # the file or folder
     name: str
-    frames: tuple[Frame, ...]
+    frames: tuple[LidarFrame, ...]
     others: tuple[str, ...] = ()  # sensors that a rig cannot hold
     candidates: tuple[str, ...] = ()  # all frames, where more than the LiDARs' may be named
     notes: tuple[str, ...] = ()  # what was assumed
@@ -114,7 +114,7 @@ def kit_of_tree(
     if base != BASE_LINK:
         notes = (*notes, f"has no {BASE_LINK}; the vehicle frame is {base}")
     frames = [
-        Frame(one, tree.pose(one, base), (*hints.get(one, ()), *_above_hints(one, tree, hints)))
+        LidarFrame(one, tree.pose(one, base), (*hints.get(one, ()), *_above_hints(one, tree, hints)))
         for one in wanted
         if tree.reaches(one, base)
     ]
@@ -185,7 +185,7 @@ def rig_of_kit(kit: Kit, models: Mapping[str, str], on_warning: Callable[[str], 
     return Rig(kit.name[:NAME_MAX] or "rig", tuple(mounts))
 
 
-def _mount(kit: Kit, index: int, frame: Frame, sensor: Sensor, model: str | None, names: dict[str, str]) -> Mount:
+def _mount(kit: Kit, index: int, frame: LidarFrame, sensor: Sensor, model: str | None, names: dict[str, str]) -> Mount:
     """The mount of a frame, with the defaults of a rig's file; `names` gets its name."""
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", frame.name.strip("/"))[:NAME_MAX]
     name = name if re.match(MOUNT_NAME, name) else f"lidar_{name}"[:NAME_MAX]

@@ -13,7 +13,7 @@ from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array, inverse
 from lidarcfg.inputs import read_regular
 from lidarcfg.io.kits.frames import Pose
-from lidarcfg.io.kits.kit import Frame, Kit
+from lidarcfg.io.kits.kit import Kit, LidarFrame
 
 RAW = "calib_imu_to_velo.txt"
 ODOMETRY = "calib.txt"
@@ -62,7 +62,7 @@ def read_kitti(path: Path) -> Kit:
 
 
 def _kit(path: Path, T_vehicle_lidar: Array, cameras: tuple[str, ...], note: str) -> Kit:
-    frame = Frame(LIDAR, Pose.of(T_vehicle_lidar), (MODEL,))
+    frame = LidarFrame(LIDAR, Pose.of(T_vehicle_lidar), (MODEL,))
     return Kit(str(path), path.stem, (frame,), cameras, notes=(note,))
 
 

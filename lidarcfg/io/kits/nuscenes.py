@@ -11,7 +11,7 @@ from typing import Any
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import check_memory, check_regular
 from lidarcfg.io.kits.frames import listed, pose_of_quaternion
-from lidarcfg.io.kits.kit import Frame, Kit
+from lidarcfg.io.kits.kit import Kit, LidarFrame
 
 SENSOR = "sensor.json"
 CALIBRATED = "calibrated_sensor.json"
@@ -46,7 +46,7 @@ def read_nuscenes(folder: Path, scene: str | None) -> Kit:
     if scene:
         tokens = _tokens(folder, scene)
         calibrated = [row for row in calibrated if row["token"] in tokens]
-    frames: dict[str, Frame] = {}
+    frames: dict[str, LidarFrame] = {}
     others: dict[str, None] = {}
     for i, row in enumerate(calibrated):
         sensor = sensors[row["sensor_token"]]
@@ -60,7 +60,7 @@ def read_nuscenes(folder: Path, scene: str | None) -> Kit:
         at = f"{where}: row {i}, {name}"
         pose = pose_of_quaternion(at, _numbers(at, row, "translation", 3), _numbers(at, row, "rotation", 4))
         hints = (OWN[name],) if name in OWN else ()
-        frames[name] = Frame(name, pose, hints)
+        frames[name] = LidarFrame(name, pose, hints)
     return Kit(str(folder), scene or folder.resolve().name, tuple(frames.values()), tuple(others))
 
 

@@ -6,20 +6,19 @@ of the package uses.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
-from lidarcfg.packets.emulator import Site
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.hesai import decode, encode, telemetry
 from lidarcfg.packets.hesai.emulator import HesaiEmulator
 from lidarcfg.packets.hesai.layout import bytes_of
-from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, resolutions, sending, unit, unit_of
+from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, unit, unit_of
 from lidarcfg.packets.point_fields import STAMPED
-from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Pattern, ranked
+from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Pattern, ranked
 from lidarcfg.sensors.rig import SINGLE, Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.units import MINUTE_NS
@@ -44,34 +43,23 @@ class Hesai(Codec):
             what = f"return_mode: {mount.return_mode!r} is not allowed"
             raise ConfigError(f"{what}; a {self.unit.name} sends {', '.join((*SINGLE, *pairs))}")
 
-    def pace(self, mount: Mount) -> Pace:
+    def pace(self, mount: Mount) -> PacketPace:
         unit = unit_of(self.unit, mount)
-        return Pace(unit.period_ns(mount.dual), unit.groups(mount.dual) * unit.lasers.shape[1])
+        return PacketPace(unit.period_ns(mount.dual), unit.groups(mount.dual) * unit.lasers.shape[1])
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
         return batches(unit_of(self.unit, mount), mount, start_ns, packets, chunk)
 
-    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
+    def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         packets = encode.encode(unit_of(self.unit, mount), mount, batch, range_m, reflectivity)
         headers = self.unit.facts.headers
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 
-    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        """Measurements of protocol 1.4 say which parts packets have, and the resolution."""
-        more = measured.more
-        if "said" not in more:
-            return super().encode_measurements(mount, measured)
-        model, flags, state = map(int, more["said"])
-        unit = sending(self.unit, flags, model)
-        unit = next((one for one in resolutions(unit) if one.operational_state == state), unit)
-        batch = replace(measured.batch, loop=more["loop"].astype(np.int64))
-        return bytes_of(encode.encode(unit, mount, batch, measured.range_m, measured.reflectivity))
-
-    def fired_ns(self, mount: Mount, batch: Batch, range_m: Array) -> Times:
+    def fired_ns(self, mount: Mount, batch: FiringBatch, range_m: Array) -> Times:
         """Some lasers of a Pandar128 have a separate firing for near targets."""
         return encode.fired_ns(unit_of(self.unit, mount), batch, range_m)
 
-    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
+    def sent(self, mount: Mount, batch: FiringBatch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, self.unit.packets_of(payloads.data), mount.return_mode, batch.firings.laser)
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
@@ -87,22 +75,16 @@ class Hesai(Codec):
         """The angle correction file; of protocol 1.4 the firing times, too."""
         return {**telemetry.correction_file(self.unit, mount), **telemetry.firing_times_file(self.unit, mount)}
 
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        return decode.return_modes(decode.as_sent(source.where, self.unit, packets), packets)
-
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        return decode.measurements(decode.as_sent(source.where, self.unit, packets), packets, host_ns)
-
     @classmethod
-    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
+    def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
         """By its first bytes only; `identify` finds the model."""
         return decode.matches(size, payload)
 
     @classmethod
-    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
+    def identify(cls, source: PacketSource, packets: Bytes, known: KnownSensors) -> Sensor:
         return decode.identify(source.where, packets, _units(known)).sensor
 
-    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
+    def decoder(self, source: PacketSource, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
         unit = decode.as_sent(source.where, self.unit, packets)
         beams = telemetry.find_corrections(source, unit.count)
         if beams is None:
@@ -112,7 +94,7 @@ class Hesai(Codec):
         sensor = unit.sensor.model_copy(update={"beams": beams})
         return decode.HesaiDecoder(source.where, Unit(sensor, unit.facts), source.driver_view)
 
-    def emulator(self, source: Source, packets: Bytes, site: Site) -> HesaiEmulator:
+    def emulator(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> HesaiEmulator:
         """Answers PTC commands."""
         return HesaiEmulator(self.unit, source, site)
 

@@ -12,11 +12,10 @@ from lidarcfg import maths
 from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics
 from lidarcfg.packets.hesai.layout import (
     HEADER,
     MODES,
-    RETURN_MODE_CODES,
     SEQUENCE,
     START,
     Packets,
@@ -28,8 +27,8 @@ from lidarcfg.packets.hesai.layout import (
     return_bytes,
 )
 from lidarcfg.packets.hesai.model import Unit, resolutions, sending
-from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST, Batch, Firings
-from lidarcfg.sensors.rig import SINGLE
+from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
+from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST
 from lidarcfg.units import MINUTE_NS
 
 PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
@@ -62,7 +61,7 @@ class PacketFields(NamedTuple):
     turn: Array  # (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
 
 
-class Lasers(NamedTuple):
+class HesaiLasers(NamedTuple):
     """The angles of the L lasers and when they fire."""
 
     cos_elevation: Array
@@ -82,7 +81,10 @@ class HesaiDecoder(Decoder):
         self._where = where
         self._unit = unit
         self._driver_view = driver_view
-        self._counter = PacketLossCounter(unit)
+        self._losses = PacketLossCounter()
+        self._modes: set[str] = set()
+        self._speeds = 0  # sum of what the packets say
+        self._packets = 0
         self.period_ns = unit.period_ns()
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
@@ -102,18 +104,27 @@ class HesaiDecoder(Decoder):
         return np.asarray(~np.logical_or.reduce(wrong))
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        self._counter.add(self._unit.packets_of(packets), wanted)
+        found = self._unit.packets_of(packets)
+        tail = found["tail"]
+        self._modes |= {MODES[code] for code in set(tail["return_mode"][wanted].tolist()) if code in MODES}
+        self._speeds += int(tail["rpm"][wanted].sum(dtype=np.int64))
+        self._packets += int(wanted.sum())
+        shortest_ns = min(unit.period_ns(dual=True) for unit in resolutions(self._unit))
+        longest = np.diff(device_time_ns(found)) / shortest_ns + SLACK + 1
+        self._losses.add(missing_numbers(tail["sequence"].astype(np.int64), NUMBERS, longest), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
+        unit_rpm = self._unit.facts.packet.speed_unit_rpm
+        rpm = self._speeds * unit_rpm / self._packets if self._packets else math.nan
+        return DecodeStatistics((self._unit.name,), tuple(sorted(self._modes)), self._losses.lost, rpm)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False, driver_view=self._driver_view)
 
 
 def decode(
     unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True, driver_view: bool = False
-) -> Returns:
+) -> DecodedReturns:
     """The returns of packets (P,), or of those that are wanted (P,). Without `polar`, ranges and azimuths are empty.
 
     All lasers of a block point where its azimuth says, as published drivers have it: see docs/hesai.md. With
@@ -142,7 +153,7 @@ def decode(
     )
     data = bytes_of(packets)
     decoder = _decoder(unit)
-    out = Returns.allocate(decoder.count(data, wanted), polar)
+    out = DecodedReturns.allocate(decoder.count(data, wanted), polar)
     return out.first(decoder.decode(data, wanted, fields, out))
 
 
@@ -219,7 +230,7 @@ def _other(name: str, key: str, right: int | str, value: int) -> str:
 @lru_cache
 def _decoder(unit: Unit) -> core.HesaiDecoder:
     sensor = unit.sensor
-    lasers = Lasers(
+    lasers = HesaiLasers(
         cos_elevation=maths.cos(sensor.elevation_rad),
         sin_elevation=maths.sin(sensor.elevation_rad),
         cos_offset=maths.cos(sensor.azimuth_offset_rad),
@@ -231,95 +242,6 @@ def _decoder(unit: Unit) -> core.HesaiDecoder:
     )
     facts = unit.facts.packet
     return core.HesaiDecoder(lasers, facts.blocks, return_bytes(unit.dtype), unit.near_m, facts.least_units)
-
-
-def return_modes(unit: Unit, data: Bytes) -> Times:
-    """(P,) what packets (P, size) say of their mode, of the unit of their distances and of their resolution."""
-    packets = unit.packets_of(data)
-    said = packets["tail"]["return_mode"].astype(np.int64) << 8 | packets["header"]["unit_mm"]
-    if unit.facts.packet.protocol == "1.4":
-        said |= packets["operational_state"].astype(np.int64) << 16 | packets["header"]["model"].astype(np.int64) << 24
-    return np.asarray(said)
-
-
-def measurements(unit: Unit, data: Bytes, host_ns: Times) -> Measurements:
-    """All firings of packets (P, size) of one return mode: see `Codec.measurements`. Raises PacketError.
-
-    Blocks are taken to hold the returns that the sensor's file says, as later firmware sends them.
-    """
-    packets = unit.packets_of(data)
-    code = int(packets["tail"]["return_mode"][0])
-    modes = {RETURN_MODE_CODES[name]: name for name in (*SINGLE, *(pair.mode for pair in unit.facts.packet.pairs))}
-    mode = modes.get(code)
-    if mode is None:
-        allowed = ", ".join(f"0x{one:02X} {name}" for one, name in modes.items())
-        raise PacketError(f"{unit.name}: return mode 0x{code:02X}; allowed: {allowed}")
-    columns = unit.columns(mode)
-    dual = len(columns) == 2
-    if (packets["header"]["unit_mm"] != unit.unit_mm).any():
-        raise PacketError(f"{unit.name}: distances are not in units of {unit.unit_mm} mm, as the sensor's file says")
-    state = int(packets["operational_state"][0]) if unit.facts.packet.protocol == "1.4" else None
-    unit = next((one for one in resolutions(unit) if one.operational_state == state), unit)
-    each = np.full(len(packets), dual)
-    loops = _loops(unit, packets, each)[:, :: 1 + dual]
-    start_ns = _starts_ns(unit, packets, each)[:, :: 1 + dual]
-    time_ns = start_ns[:, :, None] + unit.offset_ns[loops]
-    shape = time_ns.shape
-    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
-    blocks = packets["blocks"]
-    encoder = np.broadcast_to(encoder_rad(blocks["azimuth"][:, :: 1 + dual])[:, :, None], shape)
-    fires = unit.fires[loops]
-    distance, reflectivity = (
-        np.stack([blocks["returns"][:, at :: 1 + dual][key][fires] for at in np.argsort(columns)], axis=-1)
-        for key in ("distance", "reflectivity")
-    )
-    range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
-    batch = Batch(
-        Firings(time_ns[fires], laser[fires], encoder[fires]),
-        packets["tail"]["sequence"].astype(np.int64),
-        host_ns,
-        loops.astype(np.int64),
-    )
-    if state is None:
-        return Measurements(mode, batch, range_m, reflectivity)
-    first = packets["header"][0]
-    said = np.array([first["model"], first["flags"], state], np.uint8)
-    return Measurements(mode, batch, range_m, reflectivity, {"loop": loops, "said": said})
-
-
-class PacketLossCounter:
-    """Counts over the packets of one source."""
-
-    def __init__(self, unit: Unit) -> None:
-        self._unit = unit
-        self._modes: set[str] = set()
-        self._speeds = 0
-        self._packets = 0
-        self.lost = 0  # packets, by the gaps of the UDP sequence
-
-    def add(self, packets: Packets, wanted: Flags) -> None:
-        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
-        tail = packets["tail"]
-        self._modes |= {MODES[code] for code in set(tail["return_mode"][wanted].tolist()) if code in MODES}
-        self._speeds += int(tail["rpm"][wanted].sum(dtype=np.int64))
-        self._packets += int(wanted.sum())
-        sequence: Times = tail["sequence"].astype(np.int64)
-        missing = np.diff(sequence) % NUMBERS - 1
-        shortest_ns = min(unit.period_ns(dual=True) for unit in resolutions(self._unit))
-        passed = np.diff(device_time_ns(packets)) / shortest_ns
-        lost = wanted[1:] & (missing > 0) & (missing <= passed + SLACK)
-        self.lost += int(missing[lost].sum())
-
-    @property
-    def return_modes(self) -> tuple[str, ...]:
-        """The return modes by name."""
-        return tuple(sorted(self._modes))
-
-    @property
-    def rpm(self) -> float:
-        """The motor's mean speed, as the packets say it; NaN without any."""
-        unit_rpm = self._unit.facts.packet.speed_unit_rpm
-        return self._speeds * unit_rpm / self._packets if self._packets else math.nan
 
 
 def matches(size: int, payload: bytes) -> bool:

@@ -10,8 +10,8 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from lidarcfg.packets.codec import Source
-from lidarcfg.packets.emulator import Answer, Emulator, RequestError, Service, Site, Target
+from lidarcfg.packets.codec import PacketSource
+from lidarcfg.packets.emulator import Answer, Emulator, NetworkSite, RequestError, Service, Target
 from lidarcfg.packets.hesai.model import Unit
 from lidarcfg.packets.hesai.telemetry import FIRING_TIMES, SUFFIX, correction_lines, find_corrections
 
@@ -29,7 +29,7 @@ INVALID_PARAMETER = 1
 UNSUPPORTED = 5
 
 
-class Product(NamedTuple):
+class InventoryEntry(NamedTuple):
     """What an inventory says about a model."""
 
     number: int
@@ -38,11 +38,11 @@ class Product(NamedTuple):
 
 
 PRODUCTS = {
-    "pandar-xt32": Product(25, 2, 11),
-    "pandar-xt16": Product(26, 2, 11),
-    "xt32m2x": Product(38, 2, 11),
-    "qt128": Product(32, 4, 33),
-    "ot128": Product(42, 2, 53),
+    "pandar-xt32": InventoryEntry(25, 2, 11),
+    "pandar-xt16": InventoryEntry(26, 2, 11),
+    "xt32m2x": InventoryEntry(38, 2, 11),
+    "qt128": InventoryEntry(32, 4, 33),
+    "ot128": InventoryEntry(42, 2, 53),
 }
 INVENTORY = struct.Struct(">18s16s6s16s16s16s16s")  # serial number, date, MAC, versions of software, hardware, firmware
 
@@ -50,7 +50,7 @@ INVENTORY = struct.Struct(">18s16s6s16s16s16s16s")  # serial number, date, MAC, 
 class HesaiEmulator(Emulator):
     """A Hesai's PTC."""
 
-    def __init__(self, unit: Unit, source: Source, site: Site) -> None:
+    def __init__(self, unit: Unit, source: PacketSource, site: NetworkSite) -> None:
         self.name = unit.name
         self.services: Sequence[Service] = (Service("PTC", "tcp", PORT, self._answer, request_size),)
         self._unit = unit
@@ -118,7 +118,7 @@ def _unknown(command: int, why: str = "") -> Answer:
     return _frame(command, UNSUPPORTED, b"", f"asks for PTC command 0x{command:02X}, which is not emulated{why}")
 
 
-def _corrections(unit: Unit, source: Source) -> bytes:
+def _corrections(unit: Unit, source: PacketSource) -> bytes:
     """The angle correction file beside the capture, or one of the model's angles. Raises PacketError."""
     beams = find_corrections(source, unit.count)
     if beams is None:
@@ -128,7 +128,7 @@ def _corrections(unit: Unit, source: Source) -> bytes:
     return source.sidecar_files(SUFFIX)[beams.source]
 
 
-def _firing_times(unit: Unit, source: Source) -> bytes:
+def _firing_times(unit: Unit, source: PacketSource) -> bytes:
     """The firing time file beside the capture, or one of the model's times, in the form of Hesai's; empty: none."""
     files = source.sidecar_files(FIRING_TIMES)
     own = [content for name, content in files.items() if name.endswith(f"-{source.host}-{source.port}{FIRING_TIMES}")]

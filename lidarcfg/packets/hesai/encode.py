@@ -20,7 +20,7 @@ from lidarcfg.packets.hesai.layout import (
     return_bytes,
 )
 from lidarcfg.packets.hesai.model import Unit, within
-from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.firing import FiringBatch
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
 
@@ -30,7 +30,7 @@ COUNTER_NS = 5_111_060  # the rolling counter's step, 46 periods, as recorded
 COUNTERS = 6  # its values 0 to 5
 
 
-def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Packets:
+def encode(unit: Unit, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of a batch and what it measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
     dual = mount.dual
     pair = unit.columns(mount.return_mode)
@@ -111,7 +111,7 @@ def holds_one(unit: Unit, range_m: Array, reflectivity: Bytes) -> Flags:
     return np.asarray(same | ~inside.all(axis=1))
 
 
-def fired_ns(unit: Unit, batch: Batch, range_m: Array) -> Times:
+def fired_ns(unit: Unit, batch: FiringBatch, range_m: Array) -> Times:
     """(N, R): when the firings of ranges (N, R) were; near returns may come from a separate firing."""
     firings = batch.firings
     time_ns = np.broadcast_to(firings.time_ns[:, None], range_m.shape)

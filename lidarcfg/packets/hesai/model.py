@@ -12,7 +12,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.facts import Header, Network, SensorInstance
 from lidarcfg.packets.hesai.layout import FLAGS, HIGH_RESOLUTION, MODEL, SEQUENCE, STANDARD, Packets, Protocol, packet
-from lidarcfg.sensors.firing import Batch, Firings
+from lidarcfg.sensors.firing import FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import revolutions
 from lidarcfg.sensors.sensor import Byte, Sensor
@@ -39,7 +39,7 @@ class NearFiring(Model):
     loops: Loops
 
 
-class Firing(Model):
+class LoopFiring(Model):
     """When each laser fires."""
 
     source: str = ""
@@ -49,7 +49,7 @@ class Firing(Model):
     near: NearFiring | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> "Firing":
+    def _check(self) -> "LoopFiring":
         for i, loop in enumerate(self.loops):
             if max((offset for offset in loop if offset is not None), default=0) >= self.period_ns:
                 raise validation_error(f"a firing lies beyond the period's {self.period_ns} ns", "loops", i)
@@ -78,7 +78,7 @@ class Pair(Model):
         return self
 
 
-class Packet(Model):
+class HesaiPacketFacts(Model):
     """The facts of the data packet."""
 
     source: str = ""
@@ -92,7 +92,7 @@ class Packet(Model):
     least_units: Annotated[int, Field(ge=1, le=1000)] = 1  # shorter distances are marks of the sensor and no returns
 
     @model_validator(mode="after")
-    def _check(self) -> "Packet":
+    def _check(self) -> "HesaiPacketFacts":
         if self.protocol != "1.4":
             return self
         if self.flags is None or not self.flags & SEQUENCE:
@@ -124,9 +124,9 @@ class Headers(Network):
 class Facts(Model):
     """The key `hesai` of a sensor's file."""
 
-    firing: Firing
-    high_resolution: Firing | None = None  # the same in that mode
-    packet: Packet
+    firing: LoopFiring
+    high_resolution: LoopFiring | None = None  # the same in that mode
+    packet: HesaiPacketFacts
     headers: Headers
 
     @model_validator(mode="after")
@@ -258,11 +258,9 @@ def unit(sensor: Sensor) -> Unit:
 
 
 @lru_cache(64)
-def sending(unit: Unit, flags: int, model: int | None = None) -> Unit:
-    """The unit, of protocol 1.4, with these flags in its packets' header, and with that byte 4."""
-    facts = unit.facts.packet
-    models = facts.models if model is None else (model, model)
-    changed = facts.model_copy(update={"flags": flags, "models": models})
+def sending(unit: Unit, flags: int) -> Unit:
+    """The unit, of protocol 1.4, with these flags in its packets' header."""
+    changed = unit.facts.packet.model_copy(update={"flags": flags})
     return Unit(unit.sensor, unit.facts.model_copy(update={"packet": changed}))
 
 
@@ -282,7 +280,7 @@ def unit_of(unit: Unit, mount: Mount) -> Unit:
     return resolutions(unit)[1]
 
 
-def batches(unit: Unit, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+def batches(unit: Unit, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
     """The firings in the time of this many packets, `chunk` packets at a time.
 
     Packet 0's lasers start to fire `stamp_ns` after `start_ns`, or at it if their stamp is later. With an azimuth field
@@ -300,7 +298,7 @@ def batches(unit: Unit, mount: Mount, start_ns: int, packets: int, chunk: int) -
             fired = Firings(fired.time_ns[rows], fired.laser[rows], fired.encoder_rad[rows])
             loop = loop[some]
             ends_ns = ends_ns[some]
-        yield Batch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000, loop)
+        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000, loop)
         sent += len(ends_ns)
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pydantic import ValidationError
 
 from lidarcfg.errors import PacketError
-from lidarcfg.packets.codec import Source
-from lidarcfg.packets.hesai.model import Firing, Unit, resolutions
+from lidarcfg.packets.codec import PacketSource
+from lidarcfg.packets.hesai.model import LoopFiring, Unit, resolutions
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Beams
 
@@ -58,7 +58,7 @@ def _us(offset_ns: int | None) -> str:
     return "-" if offset_ns is None else f"{offset_ns / 1000:g}"
 
 
-def _by_state(firings: Mapping[int, Firing]) -> list[str]:
+def _by_state(firings: Mapping[int, LoopFiring]) -> list[str]:
     states = [(mode, state) for mode, firing in firings.items() for state in range(len(firing.loops))]
     rows = zip(*(loop for firing in firings.values() for loop in firing.loops), strict=True)
     return [
@@ -68,7 +68,7 @@ def _by_state(firings: Mapping[int, Firing]) -> list[str]:
     ]
 
 
-def _near_and_far(firings: Mapping[int, Firing]) -> list[str]:
+def _near_and_far(firings: Mapping[int, LoopFiring]) -> list[str]:
     below_m = 0.0
     modes = list[str]()
     states = list[str]()
@@ -88,7 +88,7 @@ def _near_and_far(firings: Mapping[int, Firing]) -> list[str]:
     ]
 
 
-def find_corrections(source: Source, count: int) -> Beams | None:
+def find_corrections(source: PacketSource, count: int) -> Beams | None:
     """The angles in the file beside the capture: the one named after the source, or else one named after no source.
 
     Raises PacketError for a file without the angles of this many channels, or if several files fit.

@@ -12,14 +12,14 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Payloads, Source
-from lidarcfg.packets.emulator import Emulator, Site
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.livox import decode, encode, telemetry
 from lidarcfg.packets.livox.emulator import LivoxEmulator
-from lidarcfg.packets.livox.layout import bytes_of, headers_of, is_points, packet_of
+from lidarcfg.packets.livox.layout import bytes_of, is_points, packet_of
 from lidarcfg.packets.livox.model import DATA_TYPES, Facts, Settings, Unit, batches, settings, unit
 from lidarcfg.packets.point_fields import LIVOX
-from lidarcfg.sensors.firing import STRONGEST, Batch, Pace
+from lidarcfg.sensors.firing import STRONGEST, FiringBatch, PacketPace
 from lidarcfg.sensors.pattern_timing import PatternTiming, in_view
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
@@ -52,13 +52,13 @@ class Livox(PatternTiming, Codec):
                 f"telemetry_port is {mount.telemetry_port}, the data_port; the IMU needs a port of its own"
             )
 
-    def pace(self, mount: Mount) -> Pace:
+    def pace(self, mount: Mount) -> PacketPace:
         return self.unit.pace
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
         return batches(self.unit, start_ns, packets, chunk)
 
-    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
+    def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """Out of the field of view points are zeros."""
         headers = self.unit.facts.headers
         kind = DATA_TYPES[settings(mount).data_type]
@@ -68,7 +68,7 @@ class Livox(PatternTiming, Codec):
         packets = encode.encode(self.unit, kind, batch, seen_m, reflectivity[:, 0])
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 
-    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
+    def sent(self, mount: Mount, batch: FiringBatch, payloads: Payloads) -> Flags:
         kind = DATA_TYPES[settings(mount).data_type]
         packets = payloads.data.view(packet_of(kind, self.unit.facts.packet.points))[:, 0]
         return encode.sent(packets, kind)
@@ -86,27 +86,23 @@ class Livox(PatternTiming, Codec):
             yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
 
     @classmethod
-    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
+    def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
         """By the header, whose length and number of points fit the size."""
         return is_points(size, payload)
 
     @classmethod
-    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
+    def identify(cls, source: PacketSource, packets: Bytes, known: KnownSensors) -> Sensor:
         """Models are told apart by the rate of points."""
         return decode.identify(packets, [unit(one) for one in known()]).sensor
 
-    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        kind, points = decode.kind_of(source.where, packets)
+    def decoder(self, source: PacketSource, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
+        kind, points = decode.points_of(source.where, packets)
         return decode.LivoxDecoder(source.where, self.unit, kind, points)
 
-    def emulator(self, source: Source, packets: Bytes, site: Site) -> Emulator:
+    def emulator(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> Emulator:
         """Answers discovery and commands."""
-        kind, _ = decode.kind_of(source.where, packets)
+        kind, _ = decode.points_of(source.where, packets)
         return LivoxEmulator(self.unit, kind, source.port, site)
-
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """Packets of each kind of points are converted by themselves."""
-        return headers_of(packets)["type"].astype(np.int64)
 
     def firing_ns(self) -> Times:
         """(L,): the lasers fire in turn."""

@@ -104,7 +104,7 @@ class WorkMode(IntEnum):
     READY = 9
 
 
-class Frame(NamedTuple):
+class CommandFrame(NamedTuple):
     """A command, or an answer."""
 
     number: int
@@ -114,7 +114,7 @@ class Frame(NamedTuple):
     data: bytes
 
 
-def pack(frame: Frame) -> bytes:
+def pack(frame: CommandFrame) -> bytes:
     """The bytes of a command or an answer."""
     length = HEADER + len(frame.data)
     head = HEAD.pack(START, VERSION, length, frame.number, frame.command, frame.kind, frame.sender, bytes(6), 0)
@@ -123,7 +123,7 @@ def pack(frame: Frame) -> bytes:
     return head + struct.pack("<HI", check, zlib.crc32(frame.data)) + frame.data
 
 
-def unpack(payload: bytes) -> Frame:
+def unpack(payload: bytes) -> CommandFrame:
     """The command in a datagram. Raises ValueError, which says what is wrong."""
     if len(payload) < HEADER or payload[0] != START:
         raise ValueError("no command, which begins with 0xAA and has 24 bytes at least")
@@ -137,7 +137,7 @@ def unpack(payload: bytes) -> Frame:
         zlib.crc32(data)
     ):
         raise ValueError("a command whose CRC is wrong")
-    return Frame(number, command, kind, sender, data)
+    return CommandFrame(number, command, kind, sender, data)
 
 
 def keys_of(data: bytes) -> list[int]:

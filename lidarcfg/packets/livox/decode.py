@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Returns
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics
 from lidarcfg.packets.livox.encode import DEGREES, returns
 from lidarcfg.packets.livox.layout import (
     HEADER,
@@ -26,8 +26,10 @@ from lidarcfg.packets.livox.layout import (
     point_size,
 )
 from lidarcfg.packets.livox.model import Unit
+from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
 from lidarcfg.sensors.firing import STRONGEST
 
+NUMBERS = 2**16  # of packets
 RESTART = 2**15  # a counter that jumps further was reset
 
 
@@ -40,7 +42,7 @@ class LivoxDecoder(Decoder):
         self._kind = kind
         self._points = points
         self._packet = packet_of(kind, points)
-        self._lost = 0
+        self._losses = PacketLossCounter()
         self.period_ns = round(unit.firing_ns * points)
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
@@ -59,13 +61,12 @@ class LivoxDecoder(Decoder):
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
         number: Times = headers_of(packets)["count"].astype(np.int64)
-        step = np.diff(number) % 2**16
-        self._lost += int((step[wanted[1:] & (step > 1) & (step < RESTART)] - 1).sum())
+        self._losses.add(missing_numbers(number, NUMBERS, RESTART), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        return DecodeStatistics((self._unit.name,), ("strongest",), self._lost, math.nan)
+        return DecodeStatistics((self._unit.name,), ("strongest",), self._losses.lost, math.nan)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         return decode(self._wanted(packets, wanted), self._kind, self._unit.count)
 
     def driver_columns(self, packets: Bytes, wanted: Flags) -> Mapping[str, NDArray[Any]]:
@@ -78,7 +79,7 @@ class LivoxDecoder(Decoder):
         return found
 
 
-def decode(packets: Packets, kind: DataType, lines: int) -> Returns:
+def decode(packets: Packets, kind: DataType, lines: int) -> DecodedReturns:
     """The returns in packets (P,), from a sensor with this many lasers, which fire in turn."""
     points = packets["points"]
     rows = returns(points, kind)
@@ -102,7 +103,7 @@ def decode(packets: Packets, kind: DataType, lines: int) -> Returns:
     else:
         for i, axis in enumerate("xyz"):
             np.divide(column(points[axis]), units, out=xyz_m[:, i])
-    return Returns(
+    return DecodedReturns(
         xyz_m=xyz_m,
         range_m=np.empty(0),
         azimuth_rad=np.empty(0),
@@ -157,7 +158,7 @@ def sound(data: Bytes, kind: DataType) -> Flags:
     return np.asarray(good)
 
 
-def kind_of(where: str, data: Bytes) -> tuple[DataType, int]:
+def points_of(where: str, data: Bytes) -> tuple[DataType, int]:
     """What most of these packets (P, size) hold, and how many points each. Raises PacketError."""
     kinds, counts = np.unique(headers_of(data)["type"], return_counts=True)
     kind = int(kinds[counts.argmax()])

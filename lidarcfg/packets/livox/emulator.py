@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lidarcfg.packets.emulator import Answer, Emulator, RequestError, Service, Site, Target
+from lidarcfg.packets.emulator import Answer, Emulator, NetworkSite, RequestError, Service, Target
 from lidarcfg.packets.livox import commands
-from lidarcfg.packets.livox.commands import Code, Command, Frame, Key, WorkMode
+from lidarcfg.packets.livox.commands import Code, Command, CommandFrame, Key, WorkMode
 from lidarcfg.packets.livox.layout import HEADER, PTP, DataType, crcs, headers_of
 from lidarcfg.packets.livox.model import Unit
 
@@ -34,7 +34,7 @@ class LivoxEmulator(Emulator):
 
     own_ports = True
 
-    def __init__(self, unit: Unit, kind: DataType, port: int, site: Site) -> None:
+    def __init__(self, unit: Unit, kind: DataType, port: int, site: NetworkSite) -> None:
         device = unit.facts.device
         headers = unit.facts.headers
         self.name = unit.name
@@ -137,16 +137,16 @@ class LivoxEmulator(Emulator):
         if frame.kind != commands.REQUEST or frame.sender != commands.HOST:
             return Answer(b"")  # another sensor's
         data, message = self._handled(frame)
-        answer = Frame(frame.number, frame.command, commands.ACKNOWLEDGEMENT, commands.SENSOR, data)
+        answer = CommandFrame(frame.number, frame.command, commands.ACKNOWLEDGEMENT, commands.SENSOR, data)
         return Answer(commands.pack(answer), message)
 
     def pushed(self) -> tuple[bytes, Target]:
         """The state that the sensor reports once a second, and where it goes."""
         data = commands.set_data(self._values)
-        frame = Frame(0, Command.PUSH, commands.REQUEST, commands.SENSOR, data)
+        frame = CommandFrame(0, Command.PUSH, commands.REQUEST, commands.SENSOR, data)
         return commands.pack(frame), _target(self._values[Key.STATE_HOST])
 
-    def _handled(self, frame: Frame) -> tuple[bytes, str]:
+    def _handled(self, frame: CommandFrame) -> tuple[bytes, str]:
         """The data of the answer, and a line for the terminal."""
         if frame.command == Command.FIND:
             found = commands.FOUND.pack(Code.DONE, self._type, self._serial, self._address, self._command_port)

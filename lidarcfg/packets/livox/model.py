@@ -10,7 +10,7 @@ from pydantic import Field
 from lidarcfg.config.models import Model
 from lidarcfg.packets.facts import Header, Network, SensorInstance
 from lidarcfg.packets.livox.layout import DataType
-from lidarcfg.sensors.firing import Batch, Pace
+from lidarcfg.sensors.firing import FiringBatch, PacketPace
 from lidarcfg.sensors.pattern_timing import firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Byte, Sensor
@@ -22,7 +22,7 @@ DATA_TYPES = {
 }
 
 
-class Packet(Model):
+class PointPacketFacts(Model):
     """The facts of packets with points."""
 
     source: str = ""
@@ -56,7 +56,7 @@ class Headers(Network):
 class Facts(Model):
     """The key `livox` of a sensor's file."""
 
-    packet: Packet
+    packet: PointPacketFacts
     imu: Inertial | None = None  # none: it has no inertial sensor
     device: Device
     headers: Headers
@@ -73,10 +73,10 @@ class Unit(SensorInstance[Facts]):
     """A sensor with the facts of its packets."""
 
     @property
-    def pace(self) -> Pace:
+    def pace(self) -> PacketPace:
         """Packets follow each other without gaps."""
         points = self.facts.packet.points
-        return Pace(round(self.firing_ns * points), points)
+        return PacketPace(round(self.firing_ns * points), points)
 
     @property
     def firing_ns(self) -> float:
@@ -96,7 +96,7 @@ def settings(mount: Mount) -> Settings:
     return mount.settings.checked(Settings)
 
 
-def batches(unit: Unit, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+def batches(unit: Unit, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
     """The firings of this many packets, `chunk` packets at a time. Each packet leaves when the next one begins."""
     pattern = unit.sensor.pattern
     points = unit.facts.packet.points
@@ -105,4 +105,4 @@ def batches(unit: Unit, start_ns: int, packets: int, chunk: int) -> Iterator[Bat
         ends_ns, _ = pattern.walk(first * points + points, end * points + 1)
         sent_ns = start_ns + ends_ns[::points]
         fired = firings(pattern, start_ns, first * points, end * points)
-        yield Batch(fired, np.arange(first, end), (sent_ns + 500) // 1000 * 1000)
+        yield FiringBatch(fired, np.arange(first, end), (sent_ns + 500) // 1000 * 1000)

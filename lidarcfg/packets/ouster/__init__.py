@@ -13,13 +13,13 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
-from lidarcfg.packets.emulator import Site
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.ouster import decode, encode, telemetry
 from lidarcfg.packets.ouster.emulator import OusterEmulator
 from lidarcfg.packets.ouster.model import Facts, Mode, Settings, Unit, batches, mode, unit
 from lidarcfg.packets.point_fields import OUSTER
-from lidarcfg.sensors.firing import Batch, Pace, Pattern
+from lidarcfg.sensors.firing import FiringBatch, PacketPace, Pattern
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 
@@ -43,21 +43,21 @@ class Ouster(Codec):
     def check(self, mount: Mount) -> None:
         self._mode(mount)
 
-    def pace(self, mount: Mount) -> Pace:
+    def pace(self, mount: Mount) -> PacketPace:
         mode = self._mode(mount)
-        return Pace(mode.period_ns, mode.layout.columns_per_packet * mode.layout.pixels)
+        return PacketPace(mode.period_ns, mode.layout.columns_per_packet * mode.layout.pixels)
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
         return batches(self._mode(mount), start_ns, packets, chunk, mount.phase_deg)
 
-    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
+    def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         mode = self._mode(mount)
         headers = self.unit.facts.headers
         packets = encode.encode(self.unit, mode, batch, range_m, reflectivity)
         fragments = mode.settings.fragments
         return Payloads(batch.sent_ns, packets, mount.data_port, headers, headers.data, batch.first, fragments)
 
-    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
+    def sent(self, mount: Mount, batch: FiringBatch, payloads: Payloads) -> Flags:
         return encode.sent(self._mode(mount), payloads.data)
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
@@ -80,26 +80,19 @@ class Ouster(Codec):
         """The metadata."""
         return {telemetry.SUFFIX: telemetry.metadata_file(self.unit, self._mode(mount), mount)}
 
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """The metadata has the layout."""
-        return decode.measurements(telemetry.find_metadata(source, packets).layout, packets, host_ns)
-
-    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        return encode.encode_measurements(measured)
-
     @classmethod
-    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
+    def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
         """By metadata beside the capture; or by size and header, so that missing metadata is reported as an error."""
         return telemetry.matches(source, size, payload)
 
     @classmethod
-    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
+    def identify(cls, source: PacketSource, packets: Bytes, known: KnownSensors) -> Sensor:
         """The sensor that the metadata names."""
         metadata = telemetry.find_metadata(source, packets)
         named = known(metadata.model)
         return named[0] if named else telemetry.unknown_sensor(metadata, known()[0])
 
-    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
+    def decoder(self, source: PacketSource, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
         """The metadata has the beams."""
         metadata = telemetry.find_metadata(source, packets)
         sensor = self.unit.sensor
@@ -108,7 +101,7 @@ class Ouster(Codec):
             raise PacketError(f"{source.where}: {what}, not of {sensor.name} with {sensor.count}")
         return decode.OusterDecoder(source.where, metadata, sensor.name)
 
-    def emulator(self, source: Source, packets: Bytes, site: Site) -> OusterEmulator:
+    def emulator(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> OusterEmulator:
         """Answers HTTP requests."""
         return OusterEmulator(source, packets, site)
 

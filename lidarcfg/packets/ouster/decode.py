@@ -1,8 +1,6 @@
 """Decodes an Ouster's packets into points, by the metadata beside them."""
 
-import json
 import math
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,26 +10,22 @@ from lidarcfg import maths
 from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times, product, transform
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics
+from lidarcfg.packets.loss import HeadSpeed, PacketLossCounter, missing_numbers
 from lidarcfg.packets.ouster.layout import (
-    CONSTANT,
     LEGACY_VALID,
-    Footer,
     Layout,
     column_headers,
-    crc64,
     packet_headers,
     unpack,
 )
 from lidarcfg.packets.ouster.telemetry import Metadata
-from lidarcfg.sensors.firing import LAST, SECOND, STRONGEST, Batch, Firings
-from lidarcfg.units import MINUTE_NS
+from lidarcfg.sensors.firing import LAST, SECOND, STRONGEST
 
 ENDS = "", "2"  # of the names of the first and of the second return's fields
-MEASURED = "range", "reflectivity"  # of each return; the other fields are in `Measurements.more`
 
 
-class Profile(NamedTuple):
+class ReturnLayout(NamedTuple):
     """Where a column's status and a pixel's returns are."""
 
     status: int  # the byte of a column's word that says whether it is valid
@@ -41,7 +35,7 @@ class Profile(NamedTuple):
     unit_m: float  # of a range
 
 
-class Beams(NamedTuple):
+class PixelBeams(NamedTuple):
     """The L pixels of a column, in a frame whose z is the axis."""
 
     ahead: Array  # (L,) parts of the directions where the encoder's angle is 0
@@ -69,10 +63,8 @@ class OusterDecoder(Decoder):
         self._beams = _beams(metadata)
         self._T = None if _upright(metadata.T_sensor_lidar) else metadata.T_sensor_lidar
         self._in_frame = _packets_in_window(metadata)
-        self._before: tuple[int, int, int] | None = None  # in the sequence of packets, of columns; device time
-        self._lost = 0
-        self._columns = 0
-        self._time_ns = 0
+        self._losses = PacketLossCounter()
+        self._speed = HeadSpeed(layout.columns_per_frame)
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         """(P,) the first column's. Columns outside a window may say 0."""
@@ -97,36 +89,26 @@ class OusterDecoder(Decoder):
         if not wanted.any():
             return
         layout = self._layout
-        packets = _select(packets, wanted)
         frame = packet_headers(layout, packets).frame
         column = column_headers(layout, packets).measurement[:, 0]
         inside = np.searchsorted(self._in_frame, column // layout.columns_per_packet).clip(max=len(self._in_frame) - 1)
-        packets_sent = frame * len(self._in_frame) + inside
-        times_ns = self.time_ns(packets, np.empty(0, np.int64))
-        columns_sent = frame * layout.columns_per_frame + column
-        around = layout.frames * layout.columns_per_frame
         cycle = layout.frames * len(self._in_frame)
-        for at in zip(packets_sent.tolist(), columns_sent.tolist(), times_ns.tolist(), strict=True):
-            if self._before:
-                packets_on, columns_on, later_ns = (now - then for now, then in zip(at, self._before, strict=True))
-                step = packets_on % cycle
-                if 0 < step < cycle // 2 and later_ns > 0:
-                    self._lost += step - 1
-                    self._columns += columns_on % around
-                    self._time_ns += later_ns
-            self._before = at
+        number = frame * len(self._in_frame) + inside
+        gap_ns = np.diff(self.time_ns(packets, np.empty(0, np.int64)))
+        self._losses.add(missing_numbers(number, cycle, np.where(gap_ns > 0, cycle // 2, 0)), wanted)
+        turned = np.diff(frame * layout.columns_per_frame + column) % (layout.frames * layout.columns_per_frame)
+        step = np.diff(number) % cycle
+        self._speed.add(turned, gap_ns, wanted[1:] & (step > 0) & (step <= cycle // 2) & (gap_ns > 0))
 
     def statistics(self) -> DecodeStatistics:
-        revolutions = self._columns / self._layout.columns_per_frame
-        rpm = revolutions * MINUTE_NS / self._time_ns if self._time_ns else float("nan")
         modes = ("strongest",) if self._layout.profile.returns == 1 else ("dual",)
-        return DecodeStatistics((self._model,), modes, self._lost, rpm)
+        return DecodeStatistics((self._model,), modes, self._losses.lost, self._speed.rpm)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         layout = self._layout
         packets = np.ascontiguousarray(_select(packets, wanted))
         pixels = len(packets) * layout.columns_per_packet * layout.pixels
-        returns = Returns.allocate(pixels * layout.profile.returns)
+        returns = DecodedReturns.allocate(pixels * layout.profile.returns)
         count = core.decode_points(
             packets,
             layout,
@@ -168,12 +150,12 @@ def _select(packets: Bytes, wanted: Flags) -> Bytes:
     return packets[rows[0] : rows[-1] + 1] if consecutive else packets[wanted]
 
 
-def _profile(layout: Layout) -> Profile:
+def _profile(layout: Layout) -> ReturnLayout:
     ends = ENDS[: layout.profile.returns]
     ranges, reflectivities = ([layout.profile.fields[name + end] for end in ends] for name in ("range", "reflectivity"))
     assert all(field.bit % 32 == 0 for field in ranges)
     assert all((field.bit % 8, field.bits) == (0, 8) for field in reflectivities)
-    return Profile(
+    return ReturnLayout(
         status=layout.column - 4 if layout.legacy else 8,
         status_mask=LEGACY_VALID if layout.legacy else 1 << 16,
         returns=np.array(
@@ -184,7 +166,7 @@ def _profile(layout: Layout) -> Profile:
     )
 
 
-def _beams(metadata: Metadata) -> Beams:
+def _beams(metadata: Metadata) -> PixelBeams:
     """All pixels of a column: in the sensor's frame, if the lidar stands upright in it, or else in the lidar's."""
     T = metadata.T_sensor_lidar if _upright(metadata.T_sensor_lidar) else np.eye(4)
     flat = maths.cos(metadata.elevation_rad)
@@ -194,7 +176,7 @@ def _beams(metadata: Metadata) -> Beams:
     heading = product(np.stack([maths.cos(angle), maths.sin(angle)], axis=1), T[:2, :2].T)
     return_types = STRONGEST, LAST if metadata.nearest_first else SECOND
     x, y, z = T[:3, 3].tolist()
-    return Beams(
+    return PixelBeams(
         ahead=flat * maths.cos(metadata.azimuth_rad),
         right=flat * maths.sin(metadata.azimuth_rad),
         up=maths.sin(metadata.elevation_rad),
@@ -221,45 +203,3 @@ def _packets_in_window(metadata: Metadata) -> Times:
     column = np.arange(layout.columns_per_frame)
     inside = (column - first) % layout.columns_per_frame <= (last - first) % layout.columns_per_frame
     return np.unique(column[inside] // layout.columns_per_packet)
-
-
-def measurements(layout: Layout, packets: Bytes, host_ns: Times) -> Measurements:
-    """All pixels of packets (P, size), in the order of columns: see `Codec.measurements`.
-
-    Ranges are what the fields say. Beside them are the other fields (N,), what columns say (P, C), and the headers.
-    """
-    found = unpack(layout, packets)
-    columns = column_headers(layout, packets)
-    headers = packet_headers(layout, packets)
-    ends = ENDS[: layout.profile.returns]
-    millimetres, reflectivity = (np.stack([found[name + end].ravel() for end in ends], axis=-1) for name in MEASURED)
-    angle = 2 * np.pi * columns.measurement / layout.columns_per_frame
-    fired = Firings(
-        time_ns=np.repeat(columns.time_ns.ravel(), layout.pixels),
-        laser=np.tile(np.arange(layout.pixels, dtype=np.uint8), columns.time_ns.size),
-        encoder_rad=np.repeat(angle.ravel(), layout.pixels),
-    )
-    once = {key: value for key, value in asdict(headers).items() if key != "frame"}
-    facts = {"layout": asdict(layout), "heads": once, "footer": _footer(layout, packets)}
-    others = {name: one.ravel() for name, one in found.items() if name.rstrip("2") not in MEASURED}
-    batch = Batch(fired, headers.frame, host_ns)
-    return Measurements(
-        return_mode="dual" if len(ends) == 2 else "strongest",
-        batch=batch,
-        range_m=np.where(millimetres > 0, millimetres / 1000, np.inf),
-        reflectivity=reflectivity.astype(np.uint8),
-        more={
-            "said": np.array(json.dumps(facts)),
-            "measurement": columns.measurement,
-            "valid": columns.valid,
-            **others,
-        },
-    )
-
-
-def _footer(layout: Layout, packets: Bytes) -> Footer:
-    if layout.legacy or not packets[:, -8:].any():
-        return "zero"
-    if (packets[:, -8:] == np.frombuffer(CONSTANT, np.uint8)).all():
-        return "constant"
-    return "crc" if (crc64(packets) == np.ascontiguousarray(packets[:, -8:]).view("<u8")[:, 0]).all() else "zero"

@@ -18,8 +18,8 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Bytes
-from lidarcfg.packets.codec import Source
-from lidarcfg.packets.emulator import Answer, Emulator, RequestError, Service, Site, Target
+from lidarcfg.packets.codec import PacketSource
+from lidarcfg.packets.emulator import Answer, Emulator, NetworkSite, RequestError, Service, Target
 from lidarcfg.packets.ouster.layout import Layout, add_frames, column_values, crc64, packet_headers, values
 from lidarcfg.packets.ouster.telemetry import FRAMED_IMU_PACKET, IMU_PACKET, SUFFIX, find_metadata
 
@@ -66,7 +66,7 @@ class Request:
 class OusterEmulator(Emulator):
     """An Ouster's HTTP interface."""
 
-    def __init__(self, source: Source, packets: Bytes, site: Site) -> None:
+    def __init__(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> None:
         found = find_metadata(source, packets)
         metadata = json.loads(source.sidecar_files(SUFFIX)[found.name])
         if missing := [part for part in PARTS if not isinstance(metadata.get(part), dict)]:

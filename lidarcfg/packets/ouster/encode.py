@@ -1,28 +1,22 @@
 """Encodes firings and their measurements as an Ouster's packets."""
 
-import json
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from lidarcfg import maths
 from lidarcfg.core import ouster as core
-from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags
-from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.ouster.layout import (
     ALERTS,
-    PROFILES,
     ColumnHeaders,
     Footer,
-    Layout,
     PacketHeaders,
     assemble,
-    pack,
     unpack,
 )
 from lidarcfg.packets.ouster.model import Mode, Unit, in_window, measurements
-from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.firing import FiringBatch
 
 BYTE = np.arange(256.0)
 # Per cent of a white target's light that a reflectivity says: above 100 it doubles with each 16, as a recorded OS2's
@@ -41,7 +35,7 @@ class RangeLimits(NamedTuple):
     most_units: float
 
 
-def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: Bytes) -> Bytes:
+def encode(unit: Unit, mode: Mode, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Bytes:
     """(P, size): as `Codec.encode` says. Near-infrared light is none.
 
     Of two returns the nearer comes first, or the stronger, as the metadata says.
@@ -94,43 +88,3 @@ def sent(mode: Mode, packets: Bytes) -> Flags:
     found = unpack(mode.layout, packets)
     ranges = [name for name in ("range", "range2") if name in found]
     return np.stack([found[name].ravel() > 0 for name in ranges], axis=-1)
-
-
-def encode_measurements(measured: Measurements) -> Bytes:
-    """(P, size): packets of measurements, as `decode.measurements` has them of recordings. Raises PacketError."""
-    facts = _facts(measured)
-    layout = Layout(**facts["layout"])
-    more = measured.more
-    shape = more["measurement"].shape
-    if len(measured.range_m) != more["valid"].size * layout.pixels or shape[1:] != (layout.columns_per_packet,):
-        raise PacketError("an Ouster's columns and pixels do not belong together")
-    given = {}
-    for name, field in layout.profile.fields.items():
-        kind = name.rstrip("2")
-        slot = int(name.endswith("2"))
-        if kind == "range":
-            millimetres = np.nan_to_num(np.rint(measured.range_m[:, slot] * 1000), posinf=0)
-            most = field.most << field.dropped
-            given[name] = np.where(millimetres <= most, millimetres, 0)
-        else:
-            given[name] = measured.reflectivity[:, slot] if kind == "reflectivity" else more[name]
-    time_ns = measured.batch.firings.time_ns[:: layout.pixels].reshape(shape)
-    headers = PacketHeaders(frame=measured.batch.number, **facts["heads"])
-    columns = ColumnHeaders(time_ns, more["measurement"], more["valid"])
-    return pack(layout, headers, columns, given, facts["footer"])
-
-
-def _facts(found: Measurements) -> dict[str, Any]:
-    """The layout and headers that are described. Raises PacketError if they make no sense."""
-    try:
-        facts: dict[str, Any] = json.loads(str(found.more["said"]))
-        sizes = {key: value for key, value in facts["layout"].items() if key != "name"}
-        sound = facts["layout"]["name"] in PROFILES and facts["footer"] in ("crc", "constant", "zero")
-        sound = sound and all(type(one) is int and 0 < one < 1 << 16 for one in sizes.values())
-        sound = sound and all(type(one) is int and 0 <= one < 1 << 40 for one in facts["heads"].values())
-        Layout(**facts["layout"]), PacketHeaders(frame=found.batch.number, **facts["heads"])
-    except (ValueError, TypeError, KeyError, AttributeError):
-        sound = False
-    if not sound:
-        raise PacketError("the description of an Ouster's packets is invalid")
-    return facts

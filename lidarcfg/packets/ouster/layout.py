@@ -1,6 +1,6 @@
 """The layout of an Ouster's packets, as in ouster-sdk's parsing.cpp: little endian, bits from the lowest."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -280,21 +280,6 @@ def unpack(layout: Layout, packets: Bytes) -> dict[str, NDArray[np.uint32]]:
         name: raw[i].reshape(shape) << np.uint32(field.dropped)
         for i, (name, field) in enumerate(layout.profile.fields.items())
     }
-
-
-def pack(
-    layout: Layout,
-    headers: PacketHeaders,
-    columns: ColumnHeaders,
-    pixels: Mapping[str, NDArray[Any]],
-    footer: Footer,
-) -> Bytes:
-    """(P, size) the packets with these contents; `pixels` are fields (P, C, pixels) as `unpack` returns them."""
-    shape = (len(pixels), len(columns.time_ns) * layout.columns_per_packet * layout.pixels)
-    raw = np.empty(shape, np.uint32)
-    for row, (name, given) in zip(raw, pixels.items(), strict=True):
-        row[:] = np.asarray(given, np.uint32).ravel() >> np.uint32(layout.profile.fields[name].dropped)
-    return assemble(layout, headers, columns, raw, layout.bits_of(list(pixels)), footer)
 
 
 def assemble(

@@ -17,7 +17,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Flags, Times
 from lidarcfg.packets.facts import Header, Network, SensorInstance
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
-from lidarcfg.sensors.firing import Batch, Firings
+from lidarcfg.sensors.firing import FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Millimetres, Sensor
 from lidarcfg.units import SECOND_NS
@@ -196,7 +196,7 @@ def _window(fov_deg: tuple[float, float] | None, count: int) -> tuple[int, int]:
     return first % count, last % count
 
 
-def batches(mode: Mode, start_ns: int, packets: int, chunk: int, phase_deg: float | None) -> Iterator[Batch]:
+def batches(mode: Mode, start_ns: int, packets: int, chunk: int, phase_deg: float | None) -> Iterator[FiringBatch]:
     """The firings in the time of this many packets, `chunk` packets at a time.
 
     The first packet begins with column 0, which points backwards; with a phase lock, with the column that is due.
@@ -211,7 +211,7 @@ def batches(mode: Mode, start_ns: int, packets: int, chunk: int, phase_deg: floa
         number = number[column_times_ns(mode, zero_ns, number + 1)[:, 0] <= end_ns]
         time_ns = column_times_ns(mode, zero_ns, number)
         sent_ns = (column_times_ns(mode, zero_ns, number + 1)[:, 0] + 500) // 1000 * 1000
-        yield Batch(_firings(mode, number, time_ns), number, sent_ns)
+        yield FiringBatch(_firings(mode, number, time_ns), number, sent_ns)
 
 
 def measurements(mode: Mode, number: Times) -> Times:

@@ -13,7 +13,7 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes
-from lidarcfg.packets.codec import Payloads, Source
+from lidarcfg.packets.codec import PacketSource, Payloads
 from lidarcfg.packets.inertial import GRAVITY_M_S2, measured, samples
 from lidarcfg.packets.ouster.layout import (
     ALERTS,
@@ -226,19 +226,19 @@ def is_lidar_packet(profile: str, payload: bytes) -> bool:
     return payload[:2] == b"\x01\0" if header == "standard" else payload[:1] == b"\x01"
 
 
-def matches(source: Source, size: int, payload: bytes) -> bool:
+def matches(source: PacketSource, size: int, payload: bytes) -> bool:
     """By metadata beside the capture; or by size and header, so that missing metadata is reported as an error."""
     names = [name for name, usual in USUAL_SIZES if usual == size and is_lidar_packet(name, payload)]
     return bool(names) or any(is_lidar_packet(one.layout.name, payload) for one in _metadata_beside(source, size))
 
 
-def _metadata_beside(source: Source, size: int) -> list[Metadata]:
+def _metadata_beside(source: PacketSource, size: int) -> list[Metadata]:
     """The metadata beside the capture whose packets are of this size."""
     found = [read_metadata(name, content) for name, content in source.sidecar_files(SUFFIX).items()]
     return [one for one in found if one and one.layout.size == size]
 
 
-def find_metadata(source: Source, packets: Bytes) -> Metadata:
+def find_metadata(source: PacketSource, packets: Bytes) -> Metadata:
     """The metadata of the source's packets. Raises PacketError if there is none, or if several fit."""
     size = packets.shape[1]
     payload = packets[0].tobytes()

@@ -12,12 +12,12 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, bytes_of, series_of
 from lidarcfg.packets.robosense.model import Facts, Settings, Unit, unit
-from lidarcfg.sensors.firing import Batch, ranked
+from lidarcfg.sensors.firing import FiringBatch, ranked
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor
@@ -61,12 +61,12 @@ class Robosense(SequenceTiming, Codec):
             raise ConfigError(f"{what}; give another data_port and telemetry_port, or robosense: {{imu: false}}")
         telemetry.difop_packets(self.unit, mount, np.zeros(1, np.int64))
 
-    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
+    def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         headers = self.unit.facts.headers
         packets = encode.encode(self.unit, mount.dual, batch, range_m, reflectivity)
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.msop, batch.first)
 
-    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
+    def sent(self, mount: Mount, batch: FiringBatch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, mount.dual, payloads.data)
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
@@ -82,32 +82,19 @@ class Robosense(SequenceTiming, Codec):
         if imu and mount.settings.checked(Settings).imu:
             yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
 
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """The return modes that DIFOP packets report."""
-        found = decode.return_modes(self.unit, source, packets)
-        if found is not None:
-            return found
-        series = self.unit.series
-        first = decode.undamaged(packets, series)
-        tables = decode.decode_tables(self.unit, source, first, telemetry.find_difop(source, series))
-        return np.full(len(packets), series.modes[tables.return_mode], np.int64)
-
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        return decode.measurements(self.unit, packets, host_ns, self.unit.series.mode_names[mode])
-
     @classmethod
-    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
+    def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
         """By size and first bytes, which differ from those of DIFOP packets."""
         return size == SIZE and payload.startswith(MSOP_ID)
 
     @classmethod
-    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
+    def identify(cls, source: PacketSource, packets: Bytes, known: KnownSensors) -> Sensor:
         series = series_of(packets)
         first = decode.undamaged(packets, series)
         difop = telemetry.find_difop(source, series)
         return decode.identify(source.where, first, series, difop, [unit(one) for one in known()]).sensor
 
-    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
+    def decoder(self, source: PacketSource, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
         series = self.unit.series
         first = decode.undamaged(packets, series)
         difop = telemetry.find_difop(source, series)

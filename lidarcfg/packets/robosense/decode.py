@@ -1,6 +1,5 @@
 """Decodes MSOP packets into points: which model sends them, in which mode, what they hold, how many are lost."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +10,8 @@ from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns, Source
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics, PacketSource
+from lidarcfg.packets.loss import HeadSpeed, PacketLossCounter, following, missing_numbers, missing_periods
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
     MSOP_ID,
@@ -20,19 +20,16 @@ from lidarcfg.packets.robosense.layout import (
     SERIES,
     Packets,
     Series,
-    bytes_of,
     lidar_type,
     packets_of,
     read_time_ns,
 )
-from lidarcfg.packets.robosense.model import Unit, byte_offsets, slots
-from lidarcfg.packets.robosense.telemetry import Difop, all_difops
-from lidarcfg.sensors.firing import Batch, Firings
-from lidarcfg.units import MINUTE_NS, SECOND_NS
+from lidarcfg.packets.robosense.model import Unit, slots
+from lidarcfg.packets.robosense.telemetry import Difop
+from lidarcfg.units import SECOND_NS
 
-PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets that follow each other
 RESTART = 2**16  # a counter that jumps further was reset; or by half of its range
-SINGLE_KINDS = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single returns, as `Returns` has them
+SINGLE_KINDS = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types, as in `DecodedReturns`
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ class DecodeTables:
         unit = self.unit
         sensor = unit.sensor
         schedule = unit.firing_schedule(self.dual)
-        lasers = blocks.Lasers(
+        lasers = blocks.BlockLasers(
             elevation=self.elevation_rad,
             azimuth_offset=self.azimuth_offset_rad,
             forward=sensor.forward_offset_m,
@@ -74,7 +71,7 @@ class DecodeTables:
         )
 
 
-def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> DecodeTables:
+def decode_tables(unit: Unit, source: PacketSource, first: Packets, difop: Difop | None) -> DecodeTables:
     """The tables, with the DIFOP packet's angles or else the file's, if these packets (P,) are of that model.
 
     Raises PacketError if they are not.
@@ -98,14 +95,22 @@ def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | Non
 
 
 class RobosenseDecoder(Decoder):
-    """Decodes the packets of one RoboSense sensor."""
+    """Decodes the packets of one RoboSense sensor.
 
-    def __init__(self, source: Source, tables: DecodeTables, full_fov: bool) -> None:
+    Losses are counted by the packets' counter, or by their stamps where that is always the same. Then what is missing
+    may be beyond a narrow field of view, so that nothing counts as lost unless the sensor fires all around.
+    """
+
+    def __init__(self, source: PacketSource, tables: DecodeTables, full_fov: bool) -> None:
         self._where = source.where
         self._tables = tables
         self._series = tables.unit.series
         self.period_ns = tables.unit.firing_schedule(tables.dual).period_ns
-        self._counter = PacketLossCounter(self.period_ns, full_fov, self._series.counts)
+        self._full_fov = full_fov
+        self._counts = False  # whether the counter ever changed
+        self._losses = PacketLossCounter()
+        self._losses_by_stamps = PacketLossCounter()
+        self._speed = HeadSpeed(REVOLUTION)
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         return read_time_ns(packets_of(packets, self._series))
@@ -120,131 +125,30 @@ class RobosenseDecoder(Decoder):
         return sound(packets_of(packets, self._series), self._series)
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        self._counter.add(packets_of(packets, self._series), wanted)
+        found = packets_of(packets, self._series)
+        number: Times = found["count"].astype(np.int64)
+        self._counts |= bool((number != number[:1]).any())
+        counts = self._series.counts
+        self._losses.add(missing_numbers(number, counts, min(RESTART, counts // 2)), wanted)
+        gap_ns = np.diff(read_time_ns(found))
+        self._losses_by_stamps.add(missing_periods(gap_ns, self.period_ns, SECOND_NS), wanted)
+        azimuth: Times = found["blocks"]["azimuth"][:, 0].astype(np.int64)
+        self._speed.add(np.diff(azimuth) % REVOLUTION, gap_ns, wanted[1:] & following(gap_ns, self.period_ns))
 
     def statistics(self) -> DecodeStatistics:
-        return DecodeStatistics(
-            (self._tables.unit.name,), (self._tables.return_mode,), self._counter.lost, self._counter.rpm
-        )
+        lost = self._losses.lost if self._counts else self._losses_by_stamps.lost * self._full_fov
+        return DecodeStatistics((self._tables.unit.name,), (self._tables.return_mode,), lost, self._speed.rpm)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         return decode(self._tables, packets, wanted)
 
 
-def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> Returns:
+def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> DecodedReturns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
     data = np.ascontiguousarray(data)
     stamp_ns = read_time_ns(packets_of(data, tables.unit.series))
     kind = np.full(len(data), SINGLE_KINDS[tables.return_mode], np.uint8)
     return blocks.decode(tables.core, data, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
-
-
-def measurements(unit: Unit, data: Bytes, host_ns: Times, return_mode: str) -> Measurements:
-    """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
-    dual = return_mode == "dual"
-    packets = packets_of(data, unit.series)
-    schedule = unit.firing_schedule(dual)
-    azimuth = packets["blocks"]["azimuth"]
-    azimuth = azimuth[:, :: azimuth.shape[1] // (schedule.sequences // schedule.per_azimuth)].astype(np.float64)
-    shape = len(packets), schedule.sequences, unit.count
-    head = np.broadcast_to(np.repeat(azimuth * RADIANS, schedule.per_azimuth, axis=1)[:, :, None], shape)
-    time_ns = read_time_ns(packets)[:, None, None] + schedule.offsets_ns
-    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
-    at = byte_offsets(unit, dual)
-    data = bytes_of(packets)
-    high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
-    distance = (high.astype(np.int64) << 8 | low) & unit.series.distance_max
-    range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
-    batch = Batch(Firings(time_ns.ravel(), laser.ravel(), head.ravel()), packets["count"].astype(np.int64), host_ns)
-    return Measurements(return_mode, batch, range_m, intensity)
-
-
-def return_modes(unit: Unit, source: Source, data: Bytes) -> Times | None:
-    """(P,) the codes of the modes of successive packets (P, 1248); None where no DIFOP packet says any.
-
-    A mode holds from the DIFOP packet that says it. Where there are dual and single returns, each packet's own layout
-    says which they are, as a mode changes before a DIFOP says so.
-    """
-    series = unit.series
-    dual = series.modes["dual"]
-    packets = packets_of(data, series)
-    difops = all_difops(source, series)
-    difops = difops[np.isin(difops["return_mode"], list(series.mode_names))]
-    if not len(difops):
-        return None
-    at = read_time_ns(packets)
-    difop_ns = read_time_ns(difops)
-    codes = difops["return_mode"].astype(np.int64)
-    if not ((codes == dual).any() and (codes != dual).any()):
-        return _latest(at, difop_ns, codes)
-    single = codes != dual
-    return np.where(_dual(unit, packets), dual, _latest(at, difop_ns[single], codes[single]))
-
-
-def _latest(at: Times, difop_ns: Times, codes: Times) -> Times:
-    """(P,) the latest value at these times (P,); before the first value, that one."""
-    order = np.argsort(difop_ns, kind="stable")
-    last = np.searchsorted(difop_ns[order], at, side="right") - 1
-    return codes[order][np.maximum(last, 0)]
-
-
-def _dual(unit: Unit, packets: Packets) -> Flags:
-    """(P,) whether each holds dual returns: as it says, blocks of one azimuth in pairs, 16 lasers that fired once."""
-    if unit.series.says_dual:
-        return np.asarray(packets["kind"] == unit.series.kinds[True])
-    azimuth = packets["blocks"]["azimuth"].astype(np.int64)
-    if unit.count == 32:
-        return np.asarray((azimuth[:, ::2] == azimuth[:, 1::2]).mean(axis=1) > 0.5)
-    block = np.median(np.diff(azimuth, axis=1) % REVOLUTION, axis=1)
-    turned = np.diff(azimuth[:, 0]) % REVOLUTION
-    gap_ns = np.diff(read_time_ns(packets))
-    known = gap_ns > 0
-    per_ns = np.median(turned[known] / gap_ns[known]) if known.any() else REVOLUTION * 10 / SECOND_NS
-    return np.asarray(block < 1.5 * per_ns * unit.firing_schedule(dual=True).sequence_ns)
-
-
-class PacketLossCounter:
-    """Counts over the packets of one source: by their counter; by their stamps where that is always the same.
-
-    Without a counter, what is missing may be beyond a narrow field of view, so then nothing counts as lost
-    unless the sensor fires all around.
-    """
-
-    def __init__(self, period_ns: int, full_fov: bool, counts: int) -> None:
-        self._period_ns = period_ns
-        self._counts_to = counts
-        self._restart = min(RESTART, counts // 2)
-        self._full_fov = full_fov
-        self._counted = 0
-        self._by_stamps = 0
-        self._counts = False
-        self._turned = 0
-        self._passed_ns = 0
-
-    def add(self, packets: Packets, wanted: Flags) -> None:
-        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
-        counter: Times = packets["count"].astype(np.int64)
-        step = np.diff(counter) % self._counts_to
-        gap_ns = np.diff(read_time_ns(packets))
-        mine = wanted[1:]
-        self._counts |= bool(step.any())
-        self._counted += int((step[mine & (step > 1) & (step < self._restart)] - 1).sum())
-        periods = np.rint(gap_ns[mine & (gap_ns > 0) & (gap_ns < SECOND_NS)] / self._period_ns).astype(np.int64)
-        self._by_stamps += int(np.maximum(periods - 1, 0).sum())
-        follows = mine & (abs(gap_ns - self._period_ns) <= PERIOD_TOLERANCE * self._period_ns)
-        azimuth: Times = packets["blocks"]["azimuth"][:, 0].astype(np.int64)
-        self._turned += int((np.diff(azimuth) % REVOLUTION)[follows].sum())
-        self._passed_ns += int(gap_ns[follows].sum())
-
-    @property
-    def lost(self) -> int:
-        """The number of lost packets."""
-        return self._counted if self._counts else self._by_stamps * self._full_fov
-
-    @property
-    def rpm(self) -> float:
-        """The head's mean speed; NaN without two consecutive packets."""
-        return self._turned / REVOLUTION / (self._passed_ns / MINUTE_NS) if self._passed_ns else math.nan
 
 
 def sound(packets: Packets, series: Series) -> Flags:

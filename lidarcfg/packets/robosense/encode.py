@@ -15,10 +15,10 @@ from lidarcfg.packets.robosense.layout import (
     write_time,
 )
 from lidarcfg.packets.robosense.model import Unit, byte_offsets, slot_numbers
-from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.firing import FiringBatch
 
 
-def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Bytes) -> Packets:
+def encode(unit: Unit, dual: bool, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`."""
     schedule = unit.firing_schedule(dual)
     series = unit.series

@@ -9,7 +9,7 @@ from pydantic import Field
 from lidarcfg.config.models import Model
 from lidarcfg.geometry import Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.facts import Firing, Header, Nanoseconds, Network, SensorInstance, check_firing
+from lidarcfg.packets.facts import Header, Nanoseconds, Network, SensorInstance, SequenceFiring, check_firing
 from lidarcfg.packets.robosense.layout import HELIOS, RETURN, SERIES, Series
 from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Port, Sensor
@@ -20,10 +20,10 @@ class Driver(Model):
 
     source: str = ""
     offset_ns: tuple[Nanoseconds, ...]  # after the block's azimuth, by the place of a return in it
-    sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # as that of `Firing`
+    sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # as that of `SequenceFiring`
 
 
-class Packet(Model):
+class MsopFacts(Model):
     """The facts of the MSOP packet."""
 
     source: str = ""
@@ -32,7 +32,7 @@ class Packet(Model):
     other_models: tuple[Byte, ...] = ()  # with other angles, which their DIFOP packets say
 
 
-class Difop(Model):
+class DifopFacts(Model):
     """The facts of the DIFOP packet."""
 
     source: str = ""
@@ -45,10 +45,10 @@ class Installed(Model):
 
     source: str = ""
     mode: Byte  # as DIFOP packets say it
-    offset_ns: tuple[Nanoseconds, ...]  # as that of `Firing`
+    offset_ns: tuple[Nanoseconds, ...]  # as that of `SequenceFiring`
 
 
-class Imu(Model):
+class AiryImu(Model):
     """The facts of an Airy's inertial measurements."""
 
     source: str = ""
@@ -68,12 +68,12 @@ class Headers(Network):
 class Facts(Model):
     """The key `robosense` of a sensor's file."""
 
-    firing: Firing
+    firing: SequenceFiring
     installed: tuple[Installed, ...] = ()
     driver: Driver | None = None
-    packet: Packet
-    difop: Difop
-    imu: Imu | None = None
+    packet: MsopFacts
+    difop: DifopFacts
+    imu: AiryImu | None = None
     headers: Headers
 
 
@@ -167,7 +167,7 @@ def byte_offsets(unit: Unit, dual: bool) -> Times:
 
 
 @lru_cache
-def slots(unit: Unit, dual: bool, driver_view: bool) -> blocks.Slots:
+def slots(unit: Unit, dual: bool, driver_view: bool) -> blocks.BlockSlots:
     """The core's table of a packet's slots; with `driver_view`, of when the maker's driver has lasers fire."""
     schedule = unit.firing_schedule(dual)
     groups = schedule.sequences // schedule.per_azimuth
@@ -184,7 +184,7 @@ def slots(unit: Unit, dual: bool, driver_view: bool) -> blocks.Slots:
         offset_ns = sequence * schedule.sequence_ns + schedule.offset_ns[laser]
         group_ns = schedule.per_azimuth * schedule.sequence_ns
         fraction = (offset_ns - schedule.offset_ns.min()) / group_ns
-    return blocks.Slots(
+    return blocks.BlockSlots(
         laser=laser,
         fraction=np.tile(fraction, (groups, 1)),
         offset_ns=np.arange(groups)[:, None] * group_ns + offset_ns,

@@ -8,7 +8,7 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Payloads, Source
+from lidarcfg.packets.codec import PacketSource, Payloads
 from lidarcfg.packets.inertial import measured, samples
 from lidarcfg.packets.robosense.layout import (
     AIRY,
@@ -27,7 +27,7 @@ from lidarcfg.packets.robosense.layout import (
     bytes_of,
     write_time,
 )
-from lidarcfg.packets.robosense.model import Imu, Unit
+from lidarcfg.packets.robosense.model import AiryImu, Unit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
 
@@ -105,7 +105,7 @@ def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
 
 
 def imu_payloads(
-    unit: Unit, imu: Imu, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: Unit, imu: AiryImu, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """A packet a measurement, counted from 1: accelerations, gravity included, and rates in the sensor's frame."""
     headers = unit.facts.headers
@@ -141,7 +141,7 @@ def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
     return out
 
 
-def find_difop(source: Source, series: Series) -> Difop | None:
+def find_difop(source: PacketSource, series: Series) -> Difop | None:
     """The DIFOP packet of a source near the capture's start; of several LiDARs behind a host, by the port."""
     others: list[Packets] = []
     seen = 0
@@ -158,16 +158,6 @@ def find_difop(source: Source, series: Series) -> Difop | None:
     together = np.concatenate(others) if others else np.empty(0, series.difop)
     alone = len(np.unique(together["serial"], axis=0)) == 1
     return _read(together[:1], series) if alone else None
-
-
-def all_difops(source: Source, series: Series) -> Packets:
-    """All DIFOP packets of a source of a series in a capture, in their order."""
-    found = [data[(data[:, :8] == list(DIFOP_ID)).all(axis=1)] for data in source.payloads(None, SIZE)]
-    difops: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(series.difop)[:, 0]
-    mine: Packets = difops[difops["msop_port"][:, 0] == source.port]
-    if len(mine):
-        return mine
-    return difops if len(np.unique(difops["serial"], axis=0)) == 1 else difops[:0]
 
 
 def _read(packet: Packets, series: Series) -> Difop:

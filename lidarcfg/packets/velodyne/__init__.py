@@ -12,12 +12,12 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
 from lidarcfg.packets.velodyne import decode, encode, telemetry
 from lidarcfg.packets.velodyne.layout import PACKET, bytes_of, packets_of
 from lidarcfg.packets.velodyne.model import Facts, Settings, Status, Unit, unit
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
-from lidarcfg.sensors.firing import Batch, ranked
+from lidarcfg.sensors.firing import FiringBatch, ranked
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor, catalogue
@@ -53,14 +53,14 @@ class Velodyne(SequenceTiming, Codec):
         if self.unit.facts.headers is None:
             raise ConfigError(f"sensor {self.unit.name!r} cannot be exported: its file has no velodyne.headers")
 
-    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
+    def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         headers = self.unit.facts.headers
         pps = mount.settings.checked(Settings).pps
         assert headers
         packets = encode.encode(self.unit, mount.return_mode, batch.firings, range_m, reflectivity, pps)
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 
-    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
+    def sent(self, mount: Mount, batch: FiringBatch, payloads: Payloads) -> Flags:
         return encode.sent(self.unit, mount.return_mode, packets_of(payloads.data))
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
@@ -73,26 +73,16 @@ class Velodyne(SequenceTiming, Codec):
     ) -> Iterator[Payloads]:
         return telemetry.position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
 
-    def return_modes(self, source: Source, packets: Bytes) -> Times:
-        return decode.return_modes(self.unit, packets_of(packets))
-
-    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        return decode.measurements(self.unit, packets_of(packets), host_ns)
-
-    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
-        """Keeps intensities where there is no return, and azimuths of 36000, as recorded."""
-        return bytes_of(encode.encode_measurements(self.unit, measured))
-
     @classmethod
-    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
+    def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
         """By its size only; `identify` finds the model."""
         return size == PACKET.itemsize
 
     @classmethod
-    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
+    def identify(cls, source: PacketSource, packets: Bytes, known: KnownSensors) -> Sensor:
         return decode.identify(source.where, packets_of(packets), _units(known)).sensor
 
-    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
+    def decoder(self, source: PacketSource, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
         first = packets_of(packets)
         decode.check_ids(source.where, self.unit, first, trusted)
         decode.check_period(source.where, self.unit, first)
@@ -110,7 +100,7 @@ def _units(known: KnownSensors) -> Sequence[Unit]:
     return [unit(sensor) for sensor in known()]
 
 
-def _embedded_calibration(source: Source, status: Status) -> EmbeddedCalibration | None:
+def _embedded_calibration(source: PacketSource, status: Status) -> EmbeddedCalibration | None:
     """The calibration in the source's own packets, and the mode of single returns."""
     found = []
     count = 0

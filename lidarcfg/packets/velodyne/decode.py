@@ -1,7 +1,5 @@
 """Decodes packets into points: which model sends them, what they hold, how many are lost."""
 
-import math
-from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -13,7 +11,8 @@ from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import Decoder, DecodeStatistics, KnownSensors, Measurements, Returns
+from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics, KnownSensors
+from lidarcfg.packets.loss import PERIOD_TOLERANCE, HeadSpeed, PacketLossCounter, following, missing_periods
 from lidarcfg.packets.velodyne.layout import (
     HOUR_US,
     RADIANS,
@@ -33,12 +32,9 @@ from lidarcfg.packets.velodyne.model import (
 )
 from lidarcfg.packets.velodyne.model import unit as unit_of
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
-from lidarcfg.sensors.firing import Batch, Firings
 
-PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets
 STEP_MAX = 300  # hundredths of a degree between a packet's blocks, where the field of view has no gap
 DEGREE = 100  # hundredths of it: gaps that begin as near to each other begin at the same edge of the field of view
-RETURN_MODES = "strongest", "last", "dual"
 
 
 class VelodyneDecoder(Decoder):
@@ -53,7 +49,9 @@ class VelodyneDecoder(Decoder):
         self._unit = found.unit(unit) if found else unit
         self.period_ns = self._unit.period_ns()
         self._last_only = found is not None and found.return_mode == "last"
-        self._counter = PacketLossCounter(self._unit, self._last_only)
+        self._losses = PacketLossCounter()
+        self._speed = HeadSpeed(REVOLUTION)
+        self._modes: set[str] = set()
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         return device_time_ns(packets_of(packets)["stamp_us"], host_ns)
@@ -75,22 +73,56 @@ class VelodyneDecoder(Decoder):
         return np.asarray(right)
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        self._counter.add(packets_of(packets), wanted)
+        found = packets_of(packets)
+        dual = is_dual(self._unit.packet, found)
+        self._modes |= self._modes_of(found[wanted], dual[wanted])
+        azimuth = found["blocks"]["azimuth"].astype(np.int64)
+        gap_ns = gaps_ns(found["stamp_us"])
+        period_ns = np.where(dual[:-1], self._unit.period_ns(dual=True), self._unit.period_ns(dual=False))
+        self._speed.add(np.diff(azimuth[:, 0]) % REVOLUTION, gap_ns, wanted[1:] & following(gap_ns, period_ns))
+        missing = missing_periods(gap_ns, period_ns, HOUR_US * 1000 // 2)
+        self._count_losses(azimuth, dual, missing, wanted)
 
     def statistics(self) -> DecodeStatistics:
         models = alike(self._unit, [unit_of(sensor) for sensor in self._known()])
-        return DecodeStatistics(models, self._counter.return_modes, self._counter.lost, self._counter.rpm)
+        return DecodeStatistics(models, tuple(sorted(self._modes)), self._losses.lost, self._speed.rpm)
 
-    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         found = decode(self._unit, packets_of(packets), host_ns, wanted, polar=False)
         if self._last_only:
             found.return_type[:] = 1
         return found
 
+    def _modes_of(self, packets: Packets, dual: Flags) -> set[str]:
+        """The return modes of packets (P,): as they say, or as they are laid out."""
+        if self._unit.packet.return_modes:
+            codes = {code: name for name, code in self._unit.packet.return_modes.codes.items()}
+            return {codes[code] for code in set(packets["return_mode"].tolist()) if code in codes}
+        single = "last" if self._last_only else "strongest"
+        return {"dual" if one else single for one in set(dual.tolist())}
+
+    def _count_losses(self, azimuth: NDArray[np.int64], dual: Flags, missing: Times, wanted: Flags) -> None:
+        """Count what is missing (P - 1,) before the wanted ones of packets (P,) with blocks of azimuths (P, 12).
+
+        Where the field of view ends within a packet, its azimuths jump, and nothing is lost.
+        """
+        degree = np.zeros_like(missing)
+        for i in np.flatnonzero(wanted[1:] & (missing > 0)).tolist():
+            used = len(slots(self._unit.packet, bool(dual[i])))
+            steps = np.diff(azimuth[i, :used], append=azimuth[i + 1, 0]) % REVOLUTION
+            wide = np.append(np.flatnonzero(steps > STEP_MAX), used)[0]
+            degree[i] = azimuth[i, min(wide, used - 1)] % REVOLUTION // DEGREE
+            if wide < used - 1:
+                self._losses.add_end(int(degree[i]), 2)
+                missing[i] = 0
+            elif wide < used and not steps[:-1].any():  # all blocks have one azimuth: the gap begins there
+                self._losses.add_end(int(degree[i]), 1)
+        self._losses.add(missing, wanted, degree)
+
 
 def decode(
     unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags | None = None, polar: bool = True
-) -> Returns:
+) -> DecodedReturns:
     """The returns of one sensor's successive packets (P,), or of those that are wanted (P,).
 
     The others only say how the head turns before and after. Without `polar`, ranges and azimuths are empty.
@@ -113,10 +145,12 @@ def decode(
         runs.append(_decode(unit, packets[run], host_time_ns[run], wanted[run], bool(dual[start:].any()), polar))
     if len(runs) == 1:
         return runs[0]
-    return Returns(*map(np.concatenate, zip(*runs, strict=True)))
+    return DecodedReturns(*map(np.concatenate, zip(*runs, strict=True)))
 
 
-def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool) -> Returns:
+def _decode(
+    unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool
+) -> DecodedReturns:
     """`decode` for packets that are all dual or all single."""
     facts = unit.packet
     order = slots(facts, dual)
@@ -153,14 +187,14 @@ def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
     sensor = unit.sensor
     near = unit.near_offset_m
     focal = unit.focal
-    slots_ = blocks.Slots(
+    slots_ = blocks.BlockSlots(
         laser=fired[:width] % unit.count,
         fraction=((offset_ns - unit.head_offset_ns) / group_ns - group).reshape(-1, width),
         offset_ns=offset_ns.reshape(-1, width),
         kind=(numbers[:width] % (1 + dual)).astype(np.uint8),
         other=other,
     )
-    lasers = blocks.Lasers(
+    lasers = blocks.BlockLasers(
         elevation=sensor.elevation_rad,
         azimuth_offset=sensor.azimuth_offset_rad,
         forward=np.zeros(unit.count),
@@ -172,43 +206,6 @@ def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
         focal=np.empty((0, 4)) if focal is None else focal,
     )
     return core.VelodyneDecoder(slots_, lasers, unit.period_ns(dual), group_ns, unit.resolution_m)
-
-
-def measurements(unit: Unit, packets: Packets, host_ns: Times) -> Measurements:
-    """All firings of packets (P,) of one return mode: see `Codec.measurements`.
-
-    Ranges are what distances and the lasers' offsets far off make; an HDL-64E's other corrections are left to decoding.
-    """
-    mode = RETURN_MODES[int(return_modes(unit, packets[:1])[0])]
-    dual = mode == "dual"
-    schedule = unit.firing_schedule(dual)
-    azimuth = np.ascontiguousarray(
-        packets["blocks"]["azimuth"][
-            :, : unit.span(dual) * (schedule.sequences // schedule.per_azimuth) : unit.span(dual)
-        ],
-        np.uint16,
-    )
-    group_ns = schedule.per_azimuth * schedule.sequence_ns
-    gap_ns = np.append(gaps_ns(packets["stamp_us"]), 0)
-    step, late_ns = core.velodyne_turning(azimuth, gap_ns, schedule.period_ns, group_ns)
-    group = np.arange(schedule.sequences) // schedule.per_azimuth
-    fraction = (schedule.offsets_ns - unit.head_offset_ns) / group_ns - group[:, None]
-    head = (azimuth[:, group, None] + step[:, group, None] * fraction) * RADIANS
-    stamp_ns = device_time_ns(packets["stamp_us"], host_ns)
-    time_ns = stamp_ns[:, None, None] + schedule.offsets_ns + late_ns[:, group, None]
-    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), time_ns.shape).ravel()
-    distance, intensity = returned(unit, mode, packets)
-    range_m = distance * unit.resolution_m + unit.distance_offset_m[laser][:, None]
-    range_m[distance == 0] = np.inf
-    batch = Batch(Firings(time_ns.ravel(), laser, head.ravel()), np.arange(len(packets)), host_ns)
-    return Measurements(mode, batch, range_m, intensity)
-
-
-def return_modes(unit: Unit, packets: Packets) -> Times:
-    """(P,) of RETURN_MODES; the strongest, if packets say a mode that the sensor does not have."""
-    codes = unit.packet.return_modes
-    last = packets["return_mode"] == codes.last if codes else np.zeros(len(packets), np.bool_)
-    return np.where(is_dual(unit.packet, packets), RETURN_MODES.index("dual"), last.astype(np.int64))
 
 
 def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Bytes]:
@@ -225,69 +222,6 @@ def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np
         for key in ("distance", "intensity")
     )
     return distance, intensity
-
-
-class PacketLossCounter:
-    """Counts over the packets of one source. The gap of an azimuth that is not sent is no loss."""
-
-    def __init__(self, unit: Unit, last_only: bool) -> None:
-        """`last_only`: what status bytes say of single returns."""
-        self._unit = unit
-        self._single = "last" if last_only else "strongest"
-        self._modes: set[str] = set()
-        self._turned = 0
-        self._passed_us = 0
-        self._gaps: list[tuple[int, int]] = []  # degree before the gap, packets missing
-        self._edges: Counter[int] = Counter()  # degrees where a field of view ends; two say that it does
-
-    def add(self, packets: Packets, wanted: Flags) -> None:
-        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
-        facts = self._unit.packet
-        if facts.return_modes:
-            codes = {code: name for name, code in facts.return_modes.codes.items()}
-            self._modes |= {codes[code] for code in set(packets["return_mode"][wanted].tolist()) if code in codes}
-        else:
-            self._modes |= {"dual" if dual else self._single for dual in set(is_dual(facts, packets)[wanted].tolist())}
-        azimuth = packets["blocks"]["azimuth"].astype(np.int64)
-        stamp_us = packets["stamp_us"].astype(np.int64)
-        gap_us = np.diff(stamp_us) % HOUR_US
-        dual = is_dual(facts, packets[:-1])
-        single_us, dual_us = (self._unit.period_ns(dual) / 1000 for dual in (False, True))
-        period_us = np.where(dual, dual_us, single_us)
-        gap_us = np.where(wanted[1:], gap_us, 0)
-        follows = abs(gap_us - period_us) <= PERIOD_TOLERANCE * period_us
-        self._turned += int((np.diff(azimuth[:, 0]) % REVOLUTION)[follows].sum())
-        self._passed_us += int(gap_us[follows].sum())
-        for i in np.flatnonzero((gap_us > 1.5 * period_us) & (gap_us < HOUR_US // 2)):
-            used = len(slots(facts, bool(dual[i])))
-            steps = np.diff(azimuth[i, :used], append=azimuth[i + 1, 0]) % REVOLUTION
-            wide = np.append(np.flatnonzero(steps > STEP_MAX), used)[0]
-            degree = int(azimuth[i, min(wide, used - 1)]) % REVOLUTION // DEGREE
-            if wide < used - 1:
-                self._edges[degree] += 2
-                continue
-            self._gaps.append((degree, round(gap_us[i] / period_us[i]) - 1))
-            if wide < used and not steps[:-1].any():  # all blocks have one azimuth: the gap begins there
-                self._edges[degree] += 1
-
-    @property
-    def return_modes(self) -> tuple[str, ...]:
-        """The return modes by name."""
-        return tuple(sorted(self._modes))
-
-    @property
-    def lost(self) -> int:
-        """The number of lost packets, by the gaps between stamps."""
-        lost = 0
-        for degree, packets in self._gaps:
-            near = sum(self._edges[(degree + step) % (REVOLUTION // DEGREE)] for step in (-1, 0, 1))
-            lost += packets if near < 2 else 0
-        return lost
-
-    @property
-    def rpm(self) -> float:
-        """The head's mean speed; NaN without two consecutive packets."""
-        return self._turned / REVOLUTION / (self._passed_us / 6e7) if self._passed_us else math.nan
 
 
 def identify(where: str, packets: Packets, known: Sequence[Unit]) -> Unit:

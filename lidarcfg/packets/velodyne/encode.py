@@ -9,7 +9,6 @@ from lidarcfg.core import packets as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags
 from lidarcfg.packets.blocks import by_packet
-from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.velodyne.decode import returned
 from lidarcfg.packets.velodyne.layout import (
     DISTANCE_MAX,
@@ -21,7 +20,7 @@ from lidarcfg.packets.velodyne.layout import (
     bytes_of,
     stamp_us,
 )
-from lidarcfg.packets.velodyne.model import Calibration, Unit, block_flags, slots
+from lidarcfg.packets.velodyne.model import Unit, block_flags, slots
 from lidarcfg.packets.velodyne.telemetry import calibration, status_bytes
 from lidarcfg.sensors.firing import Firings
 
@@ -94,23 +93,6 @@ def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
     if found.shape[1] == 2:
         found[:, 1] &= (distance[:, 0] != distance[:, 1]) | (intensity[:, 0] != intensity[:, 1])
     return found
-
-
-def encode_measurements(unit: Unit, measured: Measurements) -> Packets:
-    """Packets (P,) of measurements, as `measurements` has them of recordings."""
-    facts = unit.facts.model_copy(
-        update={"calibration": Calibration(distance_offset_mm=unit.facts.calibration.distance_offset_mm)}
-    )
-    plain = Unit(unit.sensor, facts)
-    dual = measured.return_mode == "dual"
-    packets = encode(plain, measured.return_mode, measured.batch.firings, measured.range_m, measured.reflectivity)
-    number = slots(unit.packet, dual)
-    span = unit.span(dual)
-    blocks = packets["blocks"][:, : len(number)]
-    blocks["returns"]["intensity"] = measured.reflectivity.reshape(len(packets), -1)[:, number]
-    azimuth = np.repeat(np.rint(unit.firing_schedule(dual).head_rad(measured.batch.firings) / RADIANS), span, axis=1)
-    blocks["azimuth"][azimuth == REVOLUTION] = REVOLUTION
-    return packets
 
 
 def check_encodable(unit: Unit, return_mode: str) -> None:

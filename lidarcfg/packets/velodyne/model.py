@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from lidarcfg.config.models import Model, Positive, validation_error
 from lidarcfg.geometry import Array, Times
-from lidarcfg.packets.facts import Firing, Header, Network, SensorInstance, check_firing
+from lidarcfg.packets.facts import Header, Network, SensorInstance, SequenceFiring, check_firing
 from lidarcfg.packets.velodyne.layout import BLOCKS, RETURNS, SLOTS, Packets, PpsState
 from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Millimetres, Sensor, check_lengths
@@ -91,7 +91,7 @@ class Status(Model):
     gps: GpsValues = GpsValues()
 
 
-class Packet(Model):
+class VelodynePacketFacts(Model):
     """The facts of the data packet (1206 bytes: 12 blocks of 32 returns)."""
 
     source: str = ""
@@ -105,7 +105,7 @@ class Packet(Model):
     dual: Dual | None = None  # none: the sensor has no such mode
 
     @model_validator(mode="after")
-    def _check(self) -> "Packet":
+    def _check(self) -> "VelodynePacketFacts":
         given = (self.product_id is not None, self.return_modes is not None, self.status is None)
         if len(set(given)) > 1:
             raise validation_error("give product_id and return_modes, or status")
@@ -117,7 +117,7 @@ class Packet(Model):
         return () if self.product_id is None else (self.product_id, *self.old_product_ids)
 
 
-class Inertial(Model):
+class InertialScales(Model):
     """The units of the three gyroscopes and the three accelerometers of two axes in the position packet."""
 
     source: str = ""
@@ -129,7 +129,7 @@ class PositionPacket(Model):
     """The facts of the position packet (512 bytes with an NMEA sentence)."""
 
     source: str = ""
-    inertial: Inertial | None = None  # none: the bytes for it are zero
+    inertial: InertialScales | None = None  # none: the bytes for it are zero
     rate_hz: Annotated[float, Field(gt=0, le=10_000)]
     sentence_without_gps: Literal["none", "since 2000"] = "none"  # the latter: as if it was switched on at 2000-01-01
 
@@ -144,8 +144,8 @@ class Headers(Network):
 class Facts(Model):
     """The key `velodyne` of a sensor's file."""
 
-    firing: Firing
-    packet: Packet
+    firing: SequenceFiring
+    packet: VelodynePacketFacts
     calibration: Calibration = Calibration()
     position_packet: PositionPacket | None = None
     headers: Headers | None = None
@@ -179,12 +179,12 @@ class Unit(SensorInstance[Facts]):
     """A sensor with the facts of its packets."""
 
     @property
-    def firing(self) -> Firing:
+    def firing(self) -> SequenceFiring:
         """When each laser fires."""
         return self.facts.firing
 
     @property
-    def packet(self) -> Packet:
+    def packet(self) -> VelodynePacketFacts:
         """The facts of the data packet."""
         return self.facts.packet
 
@@ -251,14 +251,14 @@ def unit(sensor: Sensor) -> Unit:
     return Unit(sensor, facts)
 
 
-def block_flags(facts: Packet, dual: bool) -> tuple[int, ...]:
+def block_flags(facts: VelodynePacketFacts, dual: bool) -> tuple[int, ...]:
     """The flags of the blocks that hold one block's time of all lasers."""
     if dual and facts.dual and facts.dual.by == "block":
         return tuple(flag for flag in facts.block_flags for _ in range(2))
     return facts.block_flags * (1 + dual)
 
 
-def slots(facts: Packet, dual: bool) -> Times:
+def slots(facts: VelodynePacketFacts, dual: bool) -> Times:
     """(blocks, 32): which number of a packet's (S, L) firings, or (S, L, 2) returns, stands in each slot.
 
     Blocks at the end that are not used are missing.
@@ -272,7 +272,7 @@ def slots(facts: Packet, dual: bool) -> Times:
     return numbers.reshape(-1, SLOTS)
 
 
-def is_dual(facts: Packet, packets: Packets) -> NDArray[np.bool_]:
+def is_dual(facts: VelodynePacketFacts, packets: Packets) -> NDArray[np.bool_]:
     """(P,) whether each packet holds dual returns: it says so or, where it cannot, repeats its azimuths."""
     if facts.return_modes:
         return np.asarray(packets["return_mode"] == facts.return_modes.codes.get("dual", -1))

@@ -31,7 +31,7 @@ from lidarcfg.packets.velodyne.layout import (
 )
 from lidarcfg.packets.velodyne.model import (
     Calibration,
-    Inertial,
+    InertialScales,
     Settings,
     Status,
     Unit,
@@ -267,7 +267,7 @@ def position_packets(time_ns: Times, pps: PpsState, nmea: Sequence[bytes]) -> ND
     return packets
 
 
-def inertial(facts: Inertial, acceleration_g: Array, rate_deg_s: Array) -> NDArray[np.uint16]:
+def inertial(facts: InertialScales, acceleration_g: Array, rate_deg_s: Array) -> NDArray[np.uint16]:
     """(n, 3, 4) of what is measured (n, 3) ahead, to the left and up: 12 bits of two's complement, and 4 of the kind.
 
     Temperatures are 0, 25 degrees. Each gyroscope turns about the axis across its accelerometer's two.

@@ -7,9 +7,7 @@ import numpy as np
 from lidarcfg.capture.pcap import read_batches
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai import telemetry
-from lidarcfg.packets.hesai.layout import device_time_ns, encoder_rad
 from lidarcfg.packets.hesai.model import Unit
-from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import load_sensor
 from tests.capture_fixtures import no_warning, recording
@@ -67,25 +65,3 @@ def mount(model, return_mode="dual", **options):
     given = {"rpm": 600.0, "host": "192.168.1.201", "data_port": 2368, "telemetry_port": 8308} | options
     pose = {"position_m": (0.0, 0.0, 0.0), "rpy_rad": (0.0, 0.0, 0.0)}
     return Mount(name=model, sensor=load_sensor(model), model=model, return_mode=return_mode, **pose, **given)
-
-
-def measured(recorded):
-    """What the sensor of a recording fired and measured: a batch, ranges and reflectivities (N, 2)."""
-    unit = recorded.unit
-    packets = unit.packets_of(recorded.payloads)
-    azimuth = packets["blocks"]["azimuth"][:, ::2]
-    loop = 1 - (packets["mode_flag"] & 1).astype(int) if recorded.size == 1127 else np.zeros(len(packets), int)
-    start_ns = device_time_ns(packets)[:, None, None] + unit.group_ns(True)[None, :, None]
-    time_ns = start_ns + unit.offset_ns[loop][:, None, :]
-    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), time_ns.shape)
-    encoder = np.broadcast_to(encoder_rad(azimuth)[:, :, None], time_ns.shape)
-    fires = np.broadcast_to(unit.fires[loop][:, None, :], time_ns.shape)
-    firings = Firings(time_ns[fires], laser[fires], encoder[fires])
-    returns = packets["blocks"]["returns"]
-    distance, reflectivity = (  # strongest, last
-        np.stack([returns[:, 1::2][key][fires], returns[:, ::2][key][fires]], axis=-1)
-        for key in ("distance", "reflectivity")
-    )
-    range_m = np.where(distance > 0, distance * (packets["header"]["unit_mm"][0] / 1000), np.inf)
-    sequence = packets["tail"]["sequence"].astype(np.int64)
-    return Batch(firings, sequence, np.zeros(len(packets), np.int64)), range_m, reflectivity

@@ -15,8 +15,7 @@ from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning
 from tests.naive import hesai as naive

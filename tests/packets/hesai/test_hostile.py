@@ -10,7 +10,7 @@ from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.families import codec
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from tests.packets.hesai.recorded import mount
 
 

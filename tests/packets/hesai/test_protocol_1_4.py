@@ -14,10 +14,9 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError
-from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, no_warning
 from tests.naive import hesai14 as naive
@@ -175,19 +174,6 @@ def test_other_parts_than_are_written(model, resolution, tmp_path):
     write_pcap(path, [frames(of.host, replace(payloads, data=data))])
     save_sidecar_files(path, [of])
     np.testing.assert_array_equal(concatenate(list(decode_pcap(path, no_warning))).xyz, whole.xyz)
-
-
-@pytest.mark.parametrize(
-    ("model", "mode", "resolution"), [("ot128", "dual", "high"), ("pandar128", "last", "standard")]
-)
-def test_firings_give_the_packets_again(model, mode, resolution, tmp_path):
-    """As .npz and back, byte for byte and with no byte kept beside but the rolling counter's and its checksums'."""
-    written(mount(model, mode, resolution), tmp_path / "drive.pcap", 60)
-    save_firings(tmp_path / "a.npz", tmp_path / "drive.pcap", None, no_warning)
-    save_capture(tmp_path / "back.pcap", tmp_path / "a.npz")
-    assert (tmp_path / "back.pcap").read_bytes() == (tmp_path / "drive.pcap").read_bytes()
-    with np.load(tmp_path / "a.npz") as columns:
-        assert not len(columns["0/rest"])
 
 
 @pytest.mark.parametrize("resolution", ["standard", "high"])

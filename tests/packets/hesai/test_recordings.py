@@ -9,9 +9,11 @@ from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.core import packets as core
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai.decode import decode
+from lidarcfg.sensors.firing import FiringBatch
 from tests.capture_fixtures import no_warning
 from tests.naive import hesai as naive
-from tests.packets.hesai.recorded import ALL, QT128, XT16, XT32, measured, mount
+from tests.packets.hesai.recorded import ALL, QT128, XT16, XT32, mount
+from tests.packets.measured import hesai as measured
 
 NEAR_M = 2e-5  # Nebula's points are float32
 POINTS = {XT32: 63_021, XT16: 26_287, QT128: 73_560}
@@ -86,7 +88,9 @@ def test_recorded_packets_byte_for_byte(recorded):
         blocks = octets[:, 12 : 12 + 8 * 130].reshape(-1, 4, 2, 130)
         octets = octets.copy()
         octets[:, 12 : 12 + 8 * 130] = blocks[:, :, ::-1].reshape(len(octets), -1)
-    batch, range_m, reflectivity = measured(recorded)
+    packets = recorded.unit.packets_of(recorded.payloads)
+    fired, range_m, reflectivity = measured(recorded.unit, packets)
+    batch = FiringBatch(fired, packets["tail"]["sequence"].astype(np.int64), np.zeros(len(packets), np.int64))
     if recorded is XT32:
         range_m = range_m[:, ::-1]
         reflectivity = reflectivity[:, ::-1]

@@ -6,7 +6,7 @@ from lidarcfg.config.models import Section
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Mount, ports
 from lidarcfg.sensors.sensor import load_sensor
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 
 KINDS = {"cartesian_mm": 1, "cartesian_cm": 2, "spherical": 3}
 

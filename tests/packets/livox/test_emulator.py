@@ -15,7 +15,7 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.replay import read_selected, replay
 from lidarcfg.capture.selection import ALL
 from lidarcfg.capture.services import Services
-from lidarcfg.packets.emulator import RequestError, Site
+from lidarcfg.packets.emulator import NetworkSite, RequestError
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.livox.emulator import LivoxEmulator
 from lidarcfg.packets.livox.layout import DataType
@@ -59,7 +59,7 @@ def host(port: int) -> bytes:
 
 def emulator() -> LivoxEmulator:
     of = mount()
-    return LivoxEmulator(codec(of.sensor).unit, DataType.CARTESIAN_MM, 56301, Site(SENSOR, "127.0.0.1", None))
+    return LivoxEmulator(codec(of.sensor).unit, DataType.CARTESIAN_MM, 56301, NetworkSite(SENSOR, "127.0.0.1", None))
 
 
 def test_crc():

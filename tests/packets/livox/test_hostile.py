@@ -6,7 +6,7 @@ import pytest
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram
 from lidarcfg.errors import PacketError
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from tests.capture_fixtures import write_datagrams
 from tests.packets.livox.fixtures import encoded, mount
 

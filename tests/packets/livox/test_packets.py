@@ -14,7 +14,7 @@ from lidarcfg.packets.inertial import GRAVITY_M_S2
 from lidarcfg.packets.livox.decode import LivoxDecoder
 from lidarcfg.packets.livox.layout import DataType
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.motion import Trajectory
 from tests.capture_fixtures import datagrams_of, decoded, scene, write_datagrams
 from tests.naive import livox as naive

@@ -8,7 +8,7 @@ import pytest
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.errors import PacketError
-from lidarcfg.packets.ouster.layout import column_headers, pack, packet_headers, unpack
+from lidarcfg.packets.ouster.layout import assemble, column_headers, packet_headers, unpack
 from lidarcfg.packets.ouster.telemetry import read_metadata
 from tests.capture_fixtures import decoded, no_warning, recording
 from tests.packets.ouster.judge import judged
@@ -33,6 +33,13 @@ UNDOCUMENTED = {  # pixel bits that no field of the profile has, and how many by
 
 def files(name):
     return recording(f"ouster/{name}.pcap"), recording(f"ouster/{name}.json")
+
+
+def packed(layout, headers, packets, footer):
+    """The packets with these headers, from their columns' headers and all fields of their pixels."""
+    fields = unpack(layout, packets)
+    raw = np.stack([values.ravel() >> layout.profile.fields[name].dropped for name, values in fields.items()])
+    return assemble(layout, headers, column_headers(layout, packets), raw, layout.bits_of(list(fields)), footer)
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
@@ -68,13 +75,7 @@ def test_recordings_encode_again_but_for_undocumented_bits(name):
     pcap, metadata = files(name)
     packets = judged(pcap, metadata).packets
     layout = read_metadata(metadata.name, metadata.read_bytes()).layout
-    again = pack(
-        layout,
-        packet_headers(layout, packets),
-        column_headers(layout, packets),
-        unpack(layout, packets),
-        RECORDINGS[name][1],
-    )
+    again = packed(layout, packet_headers(layout, packets), packets, RECORDINGS[name][1])
     if name not in UNDOCUMENTED:
         np.testing.assert_array_equal(again, packets)
         return
@@ -105,9 +106,8 @@ def test_packets_from_fragments_encode_again():
         metadata = pcap.with_name(f"same_ports_legacy.{name}.json")
         packets = judged(pcap, metadata).packets
         layout = read_metadata(metadata.name, metadata.read_bytes()).layout
-        said = packet_headers(layout, packets), column_headers(layout, packets), unpack(layout, packets)
         assert len(packets) > 0
-        np.testing.assert_array_equal(pack(layout, *said, "zero"), packets)
+        np.testing.assert_array_equal(packed(layout, packet_headers(layout, packets), packets, "zero"), packets)
 
 
 def test_without_metadata_it_says_what_is_missing(tmp_path):
@@ -150,6 +150,6 @@ def test_headers_that_say_more_encode_again():
     packets = judged(pcap, metadata).packets
     layout = read_metadata(metadata.name, metadata.read_bytes()).layout
     limiting = replace(packet_headers(layout, packets), shot_countdown=5, shot=1, thermal_countdown=7, thermal=2)
-    again = pack(layout, limiting, column_headers(layout, packets), unpack(layout, packets), "crc")
+    again = packed(layout, limiting, packets, "crc")
     found = packet_headers(layout, again)
     assert (found.shot_countdown, found.shot, found.thermal_countdown, found.thermal) == (5, 1, 7, 2)

@@ -20,7 +20,7 @@ from lidarcfg.geometry import pose
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.motion import Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, decoded, no_warning

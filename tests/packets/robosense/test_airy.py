@@ -13,13 +13,11 @@ from lidarcfg.capture.export import check_exportable, in_time_order, simulated_f
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.robosense.model import unit
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
-from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, no_warning, scene, write_datagrams
@@ -230,14 +228,6 @@ def test_beside_a_helios_on_one_host(tmp_path, sensor):
     clouds = list(decode_pcap(path, no_warning, on_stats=stats.append))
     assert {one.name[-4:]: one.models for one in stats} == {"6699": ("airy",), "6700": ("helios-32",)}
     assert sum(len(cloud.xyz) for cloud in clouds) == sum(len(some) for some in truth)
-
-
-def test_firings_and_back(tmp_path, sensor):
-    """All packets byte for byte."""
-    path, _ = exported(tmp_path, mount("airy", sensor=sensor, return_mode="dual"), 5_000_000)
-    save_firings(tmp_path / "a.npz", path, None, no_warning)
-    save_capture(tmp_path / "back.pcap", tmp_path / "a.npz")
-    assert (tmp_path / "back.pcap").read_bytes() == path.read_bytes()
 
 
 def test_what_cannot_be_read_says_why(tmp_path, sensor):

@@ -14,7 +14,7 @@ from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import load_sensor
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, no_warning, scene, write_datagrams
 from tests.naive import robosense as naive
 from tests.packets.robosense.fixtures import mount

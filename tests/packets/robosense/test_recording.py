@@ -12,7 +12,7 @@ from lidarcfg.capture.pcap import Datagram
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.robosense.model import unit
-from lidarcfg.sensors.firing import Batch, Firings
+from lidarcfg.sensors.firing import FiringBatch, Firings
 from lidarcfg.sensors.sensor import load_sensor
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, recording, write_datagrams
 from tests.naive import robosense as naive
@@ -86,7 +86,7 @@ def test_recorded_packets_are_written_again():
     head_rad = np.radians([np.repeat(naive.azimuths(one), 32) / 100 for one in packets])
     laser = np.tile(np.arange(32, dtype=np.uint8), 12 * len(packets))
     fired = Firings((stamp_ns[:, None] + of.firing_schedule(False).offsets_ns.ravel()).ravel(), laser, head_rad.ravel())
-    batch = Batch(fired, np.array([int.from_bytes(one[12:16]) for one in packets]), stamp_ns)
+    batch = FiringBatch(fired, np.array([int.from_bytes(one[12:16]) for one in packets]), stamp_ns)
     units = cell[..., 0].reshape(-1, 1)
     intensity = cell[..., 1].astype(np.uint8).reshape(-1, 1)
     range_m = np.where(units > 0, units * 0.0025, np.inf)

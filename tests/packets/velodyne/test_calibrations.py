@@ -22,7 +22,7 @@ from lidarcfg.packets.velodyne.telemetry import calibration
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.units import START_NS
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import AT_NS, STREET, decoded, hdl_64e, mount, scene

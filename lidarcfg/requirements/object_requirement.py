@@ -4,66 +4,141 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import core
 from lidarcfg.geometry import Array
+from lidarcfg.requirements.allowed_rigs import ROUNDING, AllowedRigs
+from lidarcfg.requirements.evidence import Evidence, sensor_views
+from lidarcfg.requirements.kind import NO_PLACES, Judge, Requirement
 from lidarcfg.requirements.margins import MountMargins, with_one_off
-from lidarcfg.requirements.robustness import Robust, misplaced
+from lidarcfg.requirements.place_counts import LOWEST, Counts, Measured, PlaceCounts, lowest_of, positions, reached
+from lidarcfg.requirements.refinement import Refined, Refinement
+from lidarcfg.requirements.robustness import Robust, cases, misplaced
 from lidarcfg.requirements.trial_rig import TrialRig
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
-from lidarcfg.returns.counts import ClusterRule, Lowest, OnPlaces, count_clusters, no_progress
+from lidarcfg.returns.counts import LOW_M, ClusterRule, Lowest, OnPlaces, count_clusters, no_progress
 from lidarcfg.returns.known import Share, Standing, lowest_at, shares
-from lidarcfg.returns.places import Stand
+from lidarcfg.returns.places import FINEST_M, FINEST_RAD, Stand
 from lidarcfg.returns.scanners import Poses, poses_of, scanners_of
 from lidarcfg.returns.silhouettes import Core, Silhouettes, centres_of
 from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.tracer import Obstacles
 
-LOWEST = 256  # places, around which others are tried
+KEY = "object"
 REFINED_WORK = 4  # of a refined place, by that of one of the base grid: they lie where it takes long to count
-LOWEST_SHADOWED = 32  # of those in narrow shadows
-ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then
 CAP_MAX = 1 << 23
 TRIAL_PLACES = 1000  # of the base grid, at which the trials of a search are judged at first
+QUICK = 64  # of those, at which many rigs are judged at first
 TRIAL_GROWTH = 10  # of that number, until all are looked at
 MISSED_MOST = 256  # places of the base grid, found at a time
 JOINT_MAX = 256  # combinations of phases that are all tried for clusters
-# Above the ground a cluster has a point at least so high: autonomous_emergency_braking.param.yaml of autoware_launch at
-# 025908d.
-LOW_M = 0.1
 
 FIRST_PLACES = 32  # of a search's trial, after which it is first asked whether it is refuted already
 GROWTH = 4  # of the number of places, until it is asked again
 FADING = 0.9  # of what a place counted for in earlier batches of trials
 
-Counts = NDArray[np.int64]
 Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class ObjectRequirement:
+class ObjectRequirement(Requirement):
     """An object gets a number of returns wherever it stands in a zone."""
 
     name: str
     target: Target
     stand: Stand
     returns: int
+    obstacles: Obstacles
     sensors: int | None = None  # the number of sensors that get them, each alone; None: all together
     at_least: float = 1.0  # fraction of the base grid's positions, each at its worst heading
     lost: int = 0  # sensors that fail
     cluster_m: float | None = None  # they are of one cluster with this tolerance
+    robust: Robust | None = None
+
+    def judge_with(self, share: Share | None = None) -> "ObjectJudge":
+        """A judge; `share`: the places where it counts, of which what is known is kept."""
+        return ObjectJudge(self, share)
+
+    @property
+    def standing(self) -> Standing:
+        """The object at the base grid's places."""
+        return Standing(self.target, self.stand.base)
+
+    def standing_in_trials(self, more: Array) -> Standing:
+        """The object at some of a large grid's places, spread over it; places `more` (n, 4) have joined."""
+        own = self.trial_places
+        return Standing(self.target, np.concatenate([own, more]) if len(more) else own)
 
     @property
     def trial_places(self) -> Array:
         """(P, 4) the places at which the trials of a search are judged at first; of a fraction, all."""
         return self.stand.thinned(TRIAL_PLACES) if self.at_least == 1 else self.stand.base
+
+    @property
+    def sums(self) -> "ObjectRequirement | None":
+        """Itself, unless clusters count."""
+        return self if self.cluster_m is None else None
+
+    def in_order(self) -> Array:
+        """(P, 4) the places of trials; the first are spread evenly."""
+        places = self.trial_places
+        first = self.stand.spread(places) if self.at_least == 1 else np.zeros(len(places))
+        return np.ascontiguousarray(places[np.argsort(first, kind="stable")])
+
+    @property
+    def quick(self) -> int | None:
+        """How many of them tell most; None: all."""
+        return QUICK if self.at_least == 1 else None
+
+    def short(self, places: Array, counts: NDArray[np.int32]) -> Array:
+        """(n,) the relative shortfalls, with the sensors lost whose loss is the worst; of a fraction the best."""
+        got = reached(counts, self.lost, self.sensors)
+        if self.at_least < 1:
+            by_position = np.sort(positions(places, got)[1])[::-1]
+            got = by_position[: math.ceil(self.at_least * len(by_position) - 1e-9)]
+        return np.asarray(1 - got / self.returns)
+
+    def out_of_reach(self, rigs: AllowedRigs) -> str | None:
+        """Why no rig can meet it, if that is certain: some place is out of range, or too few beams reach some."""
+        return self._beyond_range(rigs) or self._too_few_beams(rigs)
+
+    def _beyond_range(self, rigs: AllowedRigs) -> str | None:
+        """Whether some place is farther from all bounds than any sensor's range."""
+        if self.at_least < 1:
+            return None
+        at = self.stand.base[:, :3]
+        distance_m = rigs.distance_m(at)
+        low, high = self.target.box_m
+        radius_m = math.hypot(*np.maximum(abs(low), abs(high)))
+        far = int(distance_m.argmax())
+        most_m = rigs.range_m
+        if distance_m[far] <= most_m + rigs.start_m + radius_m + ROUNDING:
+            return None
+        x, y = at[far, :2]
+        far_m = f"({x:.2f}, {y:.2f}) is {distance_m[far]:.1f} m from the bounds of all sensors"
+        return f"{far_m}, and no range exceeds {most_m:g} m"
+
+    def _too_few_beams(self, rigs: AllowedRigs) -> str | None:
+        """Whether at a place that counts fewer beams than are demanded can hit the ball around the object's box.
+
+        With a fraction of positions, those nearest to the bounds count.
+        """
+        low, high = self.target.box_m
+        radius_m = 0.5 * math.dist(low, high)
+        at = np.unique(self.stand.base[:, :3], axis=0)
+        nearest = np.sort(rigs.distance_m(at + 0.5 * (low + high)))
+        distance_m = nearest[math.ceil(self.at_least * len(at) - 1e-9) - 1]
+        most = int(reached(rigs.most_returns(radius_m, distance_m), self.lost, self.sensors)[0])
+        if most >= self.returns:
+            return None
+        who = "the sensors together get" if self.sensors is None else f"{self.sensors} of the sensors get, each alone,"
+        return f"{who} at most {most:,} returns from {distance_m:.1f} m away"
 
     @property
     def wanted(self) -> int:
@@ -74,44 +149,6 @@ class ObjectRequirement:
     def first_cap(self) -> int:
         """Returns beyond which they are counted only if nothing is lower anywhere."""
         return max(2 * self.returns, CAP_MIN)
-
-
-@dataclass(frozen=True)
-class Measured:
-    """The returns at P places that count, in the worst phases, with the sensors lost whose loss is the worst."""
-
-    places: Array  # (P, 4)
-    values: Counts  # (P,) exact where below the cap
-    lowest: Lowest  # each sensor's counts; for clusters no counts
-
-    def joined(self, other: "Measured") -> "Measured":
-        """These and the measurements at other places."""
-        return Measured(
-            np.concatenate([self.places, other.places]),
-            np.concatenate([self.values, other.values]),
-            Lowest(
-                np.concatenate([self.lowest.counts, other.lowest.counts]),
-                np.concatenate([self.lowest.phases, other.lowest.phases]),
-            ),
-        )
-
-    def lost(self, at: int, item: ObjectRequirement) -> list[int]:
-        """The sensors that are lost in the worst case at a place."""
-        if item.cluster_m is not None:
-            return np.flatnonzero(self.lowest.phases[at] < 0).tolist()
-        counts = self.lowest.counts[at]
-        gone = np.argsort(-counts, kind="stable")[: item.lost]
-        return sorted(gone[counts[gone] > 0].tolist())  # to lose one that sees nothing changes nothing
-
-
-@dataclass(frozen=True)
-class Refined:
-    """The measurements of a rig."""
-
-    base: Measured
-    every: Measured  # with the refined places
-    finest_m: float
-    finest_rad: float
 
 
 @dataclass(frozen=True)
@@ -132,45 +169,22 @@ class Clustered:
     measured: Measured
 
 
-@dataclass(frozen=True)
-class PlaceCounts:
-    """What an object reaches at N positions of the base grid, each at its worst heading."""
-
-    at_m: Array  # (N, 2)
-    values: Counts  # (N,) in the worst case; lower bounds from the cap on
-    side_m: Array  # (N,) of squares that cover the zone; the largest come first, as they lie below the others
-    demanded: int
-    cap: int
-
-
-def reached(counts: NDArray[np.int32], lost: int, sensors: int | None) -> Counts:
-    """(P,) the sum of counts (P, S) without the `lost` largest; or, of those left, the `sensors`-th largest."""
-    ordered = -np.sort(-np.maximum(counts, 0).astype(np.int64), axis=1)
-    if sensors is None:
-        return np.asarray(ordered[:, lost:].sum(axis=1))
-    return ordered[:, lost + sensors - 1] if lost + sensors <= counts.shape[1] else np.zeros(len(counts), np.int64)
-
-
-class ObjectJudge:
+class ObjectJudge(Judge):
     """Judges rigs by one object requirement: a verdict, or for searches ever greater lower bounds of the shortfall."""
 
-    is_slow = False
-
-    def __init__(
-        self, item: ObjectRequirement, obstacles: Obstacles, robust: Robust | None = None, share: Share | None = None
-    ) -> None:
-        """For a requirement; `share`: its places, of which what is known is kept; without it those of the base grid."""
+    def __init__(self, item: ObjectRequirement, share: Share | None = None) -> None:
+        """`share`: the places where it counts, of which what is known is kept; without it those of the base grid."""
         self.item = item
-        self._obstacles = obstacles
-        self._robust = robust if robust and robust.drawn else None
-        self._share = share or shares([Standing(item.target, item.stand.base)], obstacles)[0]
+        self._obstacles = item.obstacles
+        self._robust = item.robust if item.robust and item.robust.drawn else None
+        self._share = share or shares([item.standing], item.obstacles)[0]
         self.places = self._share.places  # (P, 4)
         self._latest: Clustered | None = None
         self._weight = np.zeros(len(self.places))  # what places counted for in earlier batches of trials
         self._of_batch = np.zeros(len(self.places))  # and in this one
         self._order: Rows = np.arange(len(self.places))
         self._latest_refined: RefinedOf | None = None
-        self._silhouettes = Silhouettes(obstacles)
+        self._silhouettes = Silhouettes(item.obstacles)
 
     @property
     def work(self) -> int:
@@ -199,6 +213,20 @@ class ObjectJudge:
             side_m[distance_m <= stand.near_m] = stand.near_step_m
         order = np.argsort(-side_m, kind="stable")
         return PlaceCounts(at[order], values[order], side_m[order], self.item.returns, self.first_cap)
+
+    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
+        """The evidence for a verdict on a rig, without mounting errors."""
+        item = self.item
+        stand = item.stand
+        phases = found.phases if item.cluster_m is not None else None
+        return Evidence(
+            found,
+            stand.zone.body,
+            stand.zone,
+            map=self.counts(mounts),
+            views=sensor_views(found, item.target, stand.ground_m, mounts, item.obstacles, phases),
+            margins=(self.margins(mounts),),
+        )
 
     def margins(self, mounts: Sequence[Mount]) -> MountMargins:
         """What single failures and mounts that are a little off leave, in the place that decides."""
@@ -271,7 +299,7 @@ class ObjectJudge:
             if short.any():
                 order = np.lexsort((stand.spread(places[short]), values[short]))
                 return np.ascontiguousarray(places[short][order[:MISSED_MOST]])
-        return np.empty((0, 4))
+        return NO_PLACES
 
     def missed_between(self, mounts: Sequence[Mount]) -> Array:
         """(n, 4) places between those of the base grid at which a rig fails, the worst first.
@@ -279,11 +307,31 @@ class ObjectJudge:
         They are refined until some are found; if none are, `judge` takes no longer than it has to.
         """
         if self.item.at_least < 1:
-            return np.empty((0, 4))
+            return NO_PLACES
         tried = self._tried(mounts, *self._base(mounts), stops=True).every
         short = np.flatnonzero(tried.values < self.item.returns)
         order = np.argsort(tried.values[short], kind="stable")[:MISSED_MOST]
         return np.ascontiguousarray(tried.places[short[order]])
+
+    def missed_share(self, mounts: Sequence[Mount]) -> float:
+        """At how many of the places of trials a rig fails, as a fraction; 0 of a fraction, where none can join."""
+        if self.item.at_least < 1:
+            return 0.0
+        values = self.measured_at(self.item.trial_places, mounts, self.first_cap).values
+        return float(np.mean(values < self.item.returns))
+
+    def drawn(self, count: int, seed: Sequence[int]) -> Array:
+        """(count, 4) drawn places that may join; fewer are the first of these."""
+        return self.item.stand.drawn(count, seed, at_any_heading=False)
+
+    def around(self, found: RequirementVerdict) -> Array:
+        """(n, 4) the worst place of a verdict, and those around; none of a fraction."""
+        if self.item.at_least < 1 or found.worst is None:
+            return NO_PLACES
+        stand = self.item.stand
+        heading_rad = math.radians(found.worst.heading_deg or 0.0)
+        place = np.array([[found.worst.x_m, found.worst.y_m, stand.ground_m, heading_rad]])
+        return np.concatenate([place, stand.around(place, FINEST_M, FINEST_RAD, set())])
 
     def _base(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> tuple[Measured, int]:
         """What a rig reaches at the base grid's places, exact below the cap, and that, which is above the lowest."""
@@ -305,7 +353,7 @@ class ObjectJudge:
         notes = []
         if self._robust:
             draws = self._drawn(mounts, tried, cap, on_places)
-            number = sorted(range(len(draws)), key=lambda n: -draws[n][2])[self._robust.drawn - 1 - self._robust.spare]
+            number = self._robust.quantile_of(range(len(draws)), lambda n: draws[n][2])
             if draws[number][2] < value:
                 counted, at, value = draws[number]
                 quantile = f"{self._robust.quantile:g} quantile of {self._robust.drawn} draws"
@@ -319,7 +367,7 @@ class ObjectJudge:
         distance_m = float(item.stand.distance_m(place[None])[0])
         return RequirementVerdict(
             name=item.name,
-            kind="object",
+            kind=KEY,
             passed=value >= item.returns,
             unit="returns",
             demanded=item.returns,
@@ -333,7 +381,7 @@ class ObjectJudge:
                 distance_m=distance_m if math.isfinite(distance_m) else None,
             ),
             phases=tuple(counted.lowest.phases[at].tolist()),
-            lost=tuple(found[n].name for n in counted.lost(at, item)),
+            lost=tuple(found[n].name for n in counted.lost(at, item.lost, item.cluster_m is not None)),
             breaking=self._breaking(tried, mounts),
             fraction=self._fraction(tried.base) if item.at_least < 1 else None,
             sampling=Sampling(
@@ -493,10 +541,10 @@ class ObjectJudge:
     def _deciding(self, places: Array, values: Counts) -> NDArray[np.intp]:
         """The numbers of the lowest values at places (P, 4) among those that count, in no order."""
         if self.item.at_least == 1:
-            return _lowest(values)
+            return lowest_of(values)
         worst, by_position = positions(places, values)
         best = np.argsort(-by_position, kind="stable")[: self._best(len(by_position))]
-        return worst[best[_lowest(by_position[best])]]
+        return worst[best[lowest_of(by_position[best])]]
 
     def _worst(self, tried: Refined) -> tuple[int, int]:
         """The place that decides, and what is reached there: the lowest, or that of the fraction asked for."""
@@ -522,7 +570,7 @@ class ObjectJudge:
         """For each draw of mounting errors what was measured, the place that decides and what is reached there."""
         assert self._robust
         refined = tried.every.places[len(tried.base.places) :]
-        refined = refined[_lowest(tried.every.values[len(tried.base.places) :])]
+        refined = refined[lowest_of(tried.every.values[len(tried.base.places) :])]
         out = []
         for errors in self._robust.errors(len(mounts)):
             off = misplaced(mounts, errors)
@@ -607,96 +655,18 @@ class ObjectJudge:
         return found
 
     def _refined(self, mounts: Sequence[Mount], base: Measured, on_places: OnPlaces) -> Iterator[Refined]:
-        """The measurements round after round. What has more returns than the lowest so far is counted no further."""
+        """The measurements with places between those of the base grid, round after round."""
 
-        def on_refined(count: int) -> None:
-            on_places(REFINED_WORK * count)
+        def measure(places: Array, cap: int) -> Measured:
+            return self.measured_at(places, mounts, cap, lambda count: on_places(REFINED_WORK * count))
 
-        stand = self.item.stand
-        every = base
-        if len(stand.edge):
-            every = base.joined(self.measured_at(stand.edge, mounts, self._enough(base), on_refined))
-        seen: set[tuple[int, ...]] = set()
-        yield Refined(base, every, *stand.first_steps)
-        begun = every
-        for every, *steps in self._finer(begun, mounts, LOWEST, seen, on_refined):
-            yield Refined(base, every, *steps)
-        shadowed = self._shadowed(mounts)
-        if len(shadowed):
-            found = self.measured_at(shadowed, mounts, self._enough(every), on_refined)
-            for finer, *steps in self._finer(found, mounts, LOWEST_SHADOWED, seen, on_refined):
-                yield Refined(base, every.joined(finer), *steps)
-
-    def _enough(self, tried: Measured) -> int:
-        """More returns than any of the lowest places has, and as many as are demanded."""
-        return max(int(tried.values[_lowest(tried.values, LOWEST)].max()) + 1, self.item.returns)
+        finding = Refinement(self.item.stand, self.item.returns, measure)
+        return finding.rounds(base, lambda: self._shadowed(mounts))
 
     def _shadowed(self, mounts: Sequence[Mount]) -> Array:
         """(n, 4) places in narrow shadows of the bodies; none for a fraction of the base grid's positions."""
         stand = self.item.stand
         if self.item.at_least < 1:
-            return np.empty((0, 4))
+            return NO_PLACES
         core = Core.of(stand.width_m, float(self.item.target.size_m[2]), stand.ground_m)
         return stand.standing(self._silhouettes.places(centres_of(mounts), core, stand.area, stand.far_step_m))
-
-    def _finer(
-        self, tried: Measured, mounts: Sequence[Mount], most: int, seen: set[tuple[int, ...]], on_places: OnPlaces
-    ) -> Iterator[tuple[Measured, float, float]]:
-        """With places around the `most` lowest, ever closer, until nothing around is lower; and the spacings."""
-        every = tried
-        step_m, step_rad = self.item.stand.first_steps
-        for step_m, step_rad in self.item.stand.refinements:
-            lowest = _lowest(every.values, most)
-            every = self._with_neighbours(every, lowest, step_m, step_rad, seen, mounts, on_places)
-            yield every, step_m, step_rad
-        for _ in range(ROUNDS_MAX):  # until all neighbours of the lowest are known
-            lowest = np.flatnonzero(every.values == every.values.min())[:most]
-            more = self._with_neighbours(every, lowest, step_m, step_rad, seen, mounts, on_places)
-            settled = len(more.places) == len(every.places)
-            every = more
-            yield every, step_m, step_rad
-            if settled:
-                break
-
-    def _with_neighbours(
-        self,
-        tried: Measured,
-        centres: NDArray[np.intp],
-        step_m: float,
-        step_rad: float,
-        seen: set[tuple[int, ...]],
-        mounts: Sequence[Mount],
-        on_places: OnPlaces,
-    ) -> Measured:
-        """With the neighbours, at these spacings, of some of the places, as far as they are new and in the zone.
-
-        They are counted up to the greatest of these, and to what is demanded, as it matters which sensors' loss breaks
-        that.
-        """
-        if not len(centres):
-            return tried
-        cap = max(int(tried.values[centres].max()) + 1, self.item.returns)
-        fresh = self.item.stand.around(tried.places[centres], step_m, step_rad, seen)
-        return tried.joined(self.measured_at(fresh, mounts, cap, on_places)) if len(fresh) else tried
-
-
-def positions(places: Array, values: Counts) -> tuple[NDArray[np.intp], Counts]:
-    """(n,) each: the place of the lowest value at each position, over headings, and that value."""
-    order = np.lexsort((values, places[:, 1], places[:, 0]))
-    at = places[order, :2]
-    first = np.ones(len(at), np.bool_)
-    first[1:] = (at[1:] != at[:-1]).any(axis=1)
-    return order[first], values[order[first]]
-
-
-def cases(sensors: int, lost: int) -> list[list[int]]:
-    """The sensors that are left: all of them, then those of each case of failure."""
-    whole = list(range(sensors))
-    ways = combinations(whole, lost) if lost else ()
-    return [whole, *([n for n in whole if n not in gone] for gone in ways)]
-
-
-def _lowest(values: Counts, most: int = LOWEST) -> NDArray[np.intp]:
-    """The numbers of the lowest values."""
-    count = min(most, len(values))
-    return np.argpartition(values, count - 1)[:count] if count else np.empty(0, np.intp)

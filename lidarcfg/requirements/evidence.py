@@ -1,0 +1,71 @@
+"""The evidence for a verdict: a map around the vehicle, the worst place as each sensor sees it, margins, frames."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from lidarcfg.geometry import Array
+from lidarcfg.requirements.margins import MountMargins
+from lidarcfg.requirements.scenario_run import ScenarioResult
+from lidarcfg.requirements.verdict import RequirementVerdict
+from lidarcfg.returns.beams import PassingBeams, passing_beams
+from lidarcfg.returns.known import lowest_at
+from lidarcfg.returns.places import Zone
+from lidarcfg.returns.target import Target
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.world.footprint import Footprint
+from lidarcfg.world.tracer import Obstacles
+
+VIEW_CAP = 1 << 23  # returns of a sensor; more than any has
+
+
+class Mapped(Protocol):
+    """What a map shows from above; a report has a drawing of each type."""
+
+    @property
+    def at_m(self) -> Array:
+        """(N, 2) where there is something to see."""
+
+
+@dataclass(frozen=True)
+class SensorView:
+    """The object at the worst place as a sensor sees it, in the phase of its fewest returns."""
+
+    name: str
+    lost: bool  # in the worst case of failure
+    beams: PassingBeams
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The evidence for the verdict on a requirement; it has the parts that its kind has."""
+
+    verdict: RequirementVerdict
+    body: Footprint | None = None
+    zone: Zone | None = None
+    map: Mapped | None = None
+    frames: ScenarioResult | None = None  # what is seen in each
+    views: tuple[SensorView, ...] = ()
+    margins: tuple[MountMargins, ...] = ()  # of each of its limits
+
+
+def sensor_views(
+    found: RequirementVerdict,
+    target: Target,
+    ground_m: float,
+    mounts: Sequence[Mount],
+    obstacles: Obstacles,
+    phases: Sequence[int] | None = None,
+) -> tuple[SensorView, ...]:
+    """The object at a verdict's worst place as each sensor sees it, in the phase of its fewest returns or in others."""
+    if found.worst is None:
+        return ()
+    place = np.array([found.worst.x_m, found.worst.y_m, ground_m, np.radians(found.worst.heading_deg or 0.0)])
+    if phases is None:
+        phases = lowest_at(place[None], target, mounts, obstacles, VIEW_CAP, len(mounts) + 1).phases[0].tolist()
+    return tuple(
+        SensorView(mount.name, mount.name in found.lost, passing_beams(place, target, mount, phase, obstacles))
+        for mount, phase in zip(mounts, phases, strict=True)
+    )
