@@ -1,5 +1,7 @@
 #!/usr/bin/env python3
-"""Write the tables of keys in docs/requirements.md from the kinds of requirements and what their keys say.
+"""Write the tables of keys: of requirements in docs/requirements.md, of an objective in docs/optimise.md.
+
+They are made from the kinds of requirements and the terms of an objective, and from what their keys say.
 
 .venv/bin/python tools/make_keys.py          # writes them
 .venv/bin/python tools/make_keys.py --check  # exits with 1 if they are out of date
@@ -8,14 +10,22 @@
 import sys
 from pathlib import Path
 
+from lidarcfg.placement.terms import TERMS
 from lidarcfg.requirements.kinds import KINDS
 
-PAGE = Path(__file__).parent.parent / "docs" / "requirements.md"
+DOCS = Path(__file__).parent.parent / "docs"
 BEGIN = "<!-- by tools/make_keys.py -->\n"
 END = "<!-- end -->\n"
 
 
-def tables() -> str:
+def terms() -> str:
+    """A row for each term."""
+    rows = ["| term of the objective | unit | what it is |", "|---|---|---|"]
+    rows += [f"| `{key}` | {term.unit} | {term.field[1].description} |" for key, term in TERMS.items()]
+    return "\n".join(rows) + "\n"
+
+
+def requirements() -> str:
     """A row for each kind, then one for each key; of kinds whose key is the same, once."""
     rows = ["| kind | keys; those before a semicolon must be given | what must hold |", "|---|---|---|"]
     keys: dict[tuple[str, str], list[str]] = {}  # the kinds that have a key, and what it says
@@ -36,14 +46,17 @@ def tables() -> str:
 
 
 def main(words: list[str]) -> int:
-    """Write the page, or compare it."""
-    text = PAGE.read_text()
-    before, _, rest = text.partition(BEGIN)
-    made = before + BEGIN + tables() + END + rest.partition(END)[2]
-    if words == ["--check"]:
-        return int(made != text)
-    PAGE.write_text(made)
-    return 0
+    """Write the pages, or compare them."""
+    outdated = False
+    for name, tables in (("requirements.md", requirements()), ("optimise.md", terms())):
+        page = DOCS / name
+        text = page.read_text()
+        before, _, rest = text.partition(BEGIN)
+        made = before + BEGIN + tables + END + rest.partition(END)[2]
+        outdated |= made != text
+        if words != ["--check"]:
+            page.write_text(made)
+    return int(outdated and words == ["--check"])
 
 
 if __name__ == "__main__":

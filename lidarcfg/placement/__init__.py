@@ -14,14 +14,14 @@ warns about what looks wrong in it; `solvers` minimise over a unit cube; `evalua
 trials; `search_run` is a search in progress, which `optimize` runs to its end. The result: `evaluation` judges one rig,
 `report_inputs` adds what only a report shows.
 
-Beyond the paper: `extrapolation` finds what max VSR would be for ever smaller cuboids; `objective` has the terms that
-may be minimised, `zones` weigh parts of the region, `detection` and `return_counts` compute how often objects are
-detected; `study_evaluator` takes failures and mounting errors into account; `surfaces` are where on a body sensors may
-sit; `combinations` and `front` choose sensors by price; `plan` and `sweep` run many searches. A search may begin with
-given points (`points_first`): `starts` are the user's rigs, `plain_rigs` those that an engineer would try;
-`misses_search` goes on from them at ever more places. For requirements: `screen` ranks plain rigs,
-`requirements_search` has the costs and the search, `cheapest` finds the cheapest rig, and `achievable` what no rig can
-meet.
+Beyond the paper: `extrapolation` finds what max VSR would be for ever smaller cuboids; a `trial` is a rig, and
+`objective` the weighted mean of the `terms` that may be minimised; `zones` weigh parts of the region, `detection` and
+`return_counts` compute how often objects are detected; `study_evaluator` takes failures and mounting errors into
+account; `surfaces` are where on a body sensors may sit; `combinations` and `front` choose sensors by price; `plan` and
+`sweep` run many searches. A search may begin with given points (`points_first`): `starts` are the user's rigs,
+`plain_rigs` those that an engineer would try; `misses_search` goes on from them at ever more places. For requirements:
+`screen` ranks plain rigs, `requirements_search` has the costs and the search, `cheapest` finds the cheapest rig, and
+`achievable` what no rig can meet.
 """
 
 import lazy_loader

@@ -16,11 +16,12 @@ from lidarcfg.placement.detection import Counted, Detection, counted_places, det
 from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.extrapolation import Extrapolated, extrapolate
 from lidarcfg.placement.metric import Extent, extents, surface_m2, volume_m3, vsr_m
-from lidarcfg.placement.objective import Criterion, Trial, without_cones
+from lidarcfg.placement.objective import Criterion, without_cones
 from lidarcfg.placement.return_counts import ReturnCounts, return_counts
 from lidarcfg.placement.spheres import largest_spheres
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
+from lidarcfg.placement.trial import Trial
 from lidarcfg.placement.visibility import seen_by_m3
 from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.requirements.post_visibility import PostVisibility

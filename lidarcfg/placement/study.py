@@ -19,10 +19,7 @@ from lidarcfg.placement.detection import DetectionObject, Distances, check_fits,
 from lidarcfg.placement.objective import (
     EVERY_CASE,
     Criterion,
-    MissesTerm,
-    MissRate,
     Objective,
-    Trial,
     without_cones,
 )
 from lidarcfg.placement.region import Region
@@ -43,6 +40,9 @@ from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
+from lidarcfg.placement.terms.misses import MissesTerm
+from lidarcfg.placement.terms.term import TermContext
+from lidarcfg.placement.trial import Trial
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.requirements.context import Context, VehicleSite
@@ -190,10 +190,7 @@ class Study:
     @property
     def objective_cuts(self) -> bool:
         """Whether the objective needs the subspaces: all but misses and detection by returns do."""
-        wanted = self.objective
-        returns = {item.name for item in self.detection if item.returns}
-        own = (wanted.max_vsr, wanted.inscribed_radius, wanted.blind_volume, wanted.seen_by_two)  # not misses
-        return wanted.is_max_vsr or any(one is not None for one in own) or bool(set(wanted.detection) - returns)
+        return self.objective.cuts(self.detection)
 
     @property
     def to_choose(self) -> bool:
@@ -223,15 +220,16 @@ class Study:
         A rig whose sensors are not the study's needs its mounts here. Misses are counted at the places of `known`
         returns; without them, at fresh ones.
         """
-        mounts = mounts or self.rig(self.lower).mounts
-
-        wanted = [one for one in self.detection_targets if one.item.name in self.objective.detection]
-        missed = {one.item.name: MissRate(one, mounts) for one in wanted}
-        term = None
-        if self.objective.misses and self.misses:
-            term = MissesTerm(self.misses, known or self.misses.fresh, mounts)
-        weight = weights(self.zones, self.region)
-        return Criterion(self.objective, self.region, self.detection, missed, term, weight, kept)
+        context = TermContext(
+            region=self.region,
+            objects=self.detection,
+            targets=self.detection_targets,
+            weight=weights(self.zones, self.region),
+            misses=self.misses,
+            known=known,
+            mounts=mounts or self.rig(self.lower).mounts,
+        )
+        return Criterion(self.objective, context, kept)
 
     def scanners(self, mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
         """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
@@ -356,7 +354,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
     only_required = False
     if "objective" not in file.model_fields_set:
         if bodies:
-            file = file.model_copy(update={"objective": Objective(misses=MissesFile())})
+            file = file.model_copy(update={"objective": Objective({MissesTerm.key: MissesFile()})})
         else:
             only_required = bool(found)
     if fault := without_cones(file.objective, file.detection, only_required, slots.sensors):
