@@ -88,7 +88,7 @@ def test_a_small_validation(validate, path, tmp_path, monkeypatch):
         assert json.loads(str(found["asked"])) == {"rigs": 5, "places": 4, "least": 10}
         for n, rig in enumerate(rigs):
             expected = evaluate(study, rig)
-            part = expected.blind.seen_by_m3 / expected.blind.seen_by_m3.sum()
+            part = expected.seen_by_m3 / expected.seen_by_m3.sum()
             assert found["max_vsr_body"][n] == expected.max_vsr_m
             assert found["blind"][n] == pytest.approx(part[0])
             assert found["below_two"][n] == pytest.approx(part[:2].sum())

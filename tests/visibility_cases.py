@@ -6,7 +6,7 @@ import numpy as np
 
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import seen_cuboids
+from lidarcfg.placement.subspace import compare_labels, count_set
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world.meshes import box_mesh, join_meshes, lathe
 from lidarcfg.world.scene_file import Box
@@ -58,6 +58,12 @@ def on_surface(mesh, rng, count):
         *(weights[:, :, None] * vertices[triangles[rng.integers(len(triangles), size=count)]]).sum(axis=1),
         *vertices[:2],
     ]
+
+
+def seen_cuboids(region, lidars, sight):
+    """(lidars, nx, ny, nz) which cuboids each LiDAR sees; none that is excluded."""
+    words = compare_labels(region, lidars, sight).seen
+    return np.array([count_set(region, row[None]).astype(bool).reshape(region.shape) for row in words])
 
 
 def compared(count, pairs, rng):

@@ -24,14 +24,13 @@ import cc3d
 import numpy as np
 from page import ROOT, machine
 
-from lidarcfg.core import placement as core
-from lidarcfg.placement.cones import Lidar, cone_rows
+from lidarcfg.geometry import Array
+from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.metric import vsr_of_counts
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study, load_study, with_solver
-from lidarcfg.placement.subspace import grid_of
-from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 from lidarcfg.requirements.robustness import Robust
 
 SEED = 1
@@ -95,35 +94,35 @@ def pipeline(region: Region, lidars: list[Lidar]) -> float:
     return float(vsr_of_counts(cuboids, np.stack(internal, axis=1)[1:], region.cuboid_m).max())
 
 
-def rigs(study: Study) -> list[tuple[str, list[Lidar]]]:
-    """Rigs at random in the bounds, and some near an optimum, where subspaces are many and small."""
+def rigs(study: Study) -> list[tuple[str, Array]]:
+    """Poses (LiDARs, 6) at random in the bounds, and some near an optimum, where subspaces are many and small."""
     rng = np.random.default_rng(SEED)
     poses = study.poses(rng.random((RIGS, int(study.free.sum()))))
     found = optimize(with_solver(study, method="abc", bees=40, cycles=60)).rig.mounts
     best = np.array([[*mount.position_m, *mount.rpy_rad] for mount in found])
     near = best + rng.normal(0.0, 0.01, (RIGS, *best.shape))
-    named = [("at random", p) for p in poses] + [("near an optimum", p) for p in near]
-    return [(name, list(study.lidars(p))) for name, p in named]
+    return [("at random", p) for p in poses] + [("near an optimum", p) for p in near]
 
 
-def largest(workspace: core.WorstSubspaces, lidars: list[Lidar]) -> float:
-    """Max VSR in metres."""
-    return workspace.max_vsr(cone_rows(lidars), UNLIMITED_SIGHT)
+def largest(evaluator: Evaluator, poses: Array) -> float:
+    """Max VSR in metres, evaluated in full."""
+    trial = poses[None]
+    return float(evaluator.costs(trial, np.zeros(1, np.int64), trial, np.full(1, np.inf))[0])
 
 
 def evaluations(study: Study) -> None:
     """One evaluation, in full, on one thread."""
     print("\n| one evaluation, 48,000 cuboids, 4 × 16 beams, one thread | median (ms) | spread | |\n|---|---|---|---|")
     seconds: dict[tuple[str, str], list[float]] = {}
-    grid = grid_of(study.region)
-    workspace = core.WorstSubspaces(grid)
-    for name, lidars in rigs(study):
-        assert abs(largest(workspace, lidars) - pipeline(study.region, lidars)) < 1e-12
-        for label, function in (
-            ("lidarcfg", partial(largest, workspace, lidars)),
-            ("numpy + cc3d + bincount", partial(pipeline, study.region, lidars)),
-        ):
-            seconds.setdefault((label, name), []).extend(timed(function, 25))
+    with Evaluator(study.region, study.lidars(study.midpoint), threads=1, skip=False) as evaluator:
+        for name, poses in rigs(study):
+            lidars = list(study.lidars(poses))
+            assert abs(largest(evaluator, poses) - pipeline(study.region, lidars)) < 1e-12
+            for label, function in (
+                ("lidarcfg", partial(largest, evaluator, poses)),
+                ("numpy + cc3d + bincount", partial(pipeline, study.region, lidars)),
+            ):
+                seconds.setdefault((label, name), []).extend(timed(function, 25))
     for (label, name), values in seconds.items():
         ours = statistics.median(seconds["lidarcfg", name])
         ratio = statistics.median(values) / ours
@@ -133,22 +132,20 @@ def evaluations(study: Study) -> None:
 FINE_GRID = """
 import json, resource, statistics, sys, time
 import numpy as np
-from lidarcfg.core import placement as core
-from lidarcfg.placement.cones import cone_rows, lidar
-from lidarcfg.placement.subspace import grid_of
+from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 part, poses, sines = json.loads(sys.argv[1])
 region = Region.from_boxes((0, 0, 0), (60, 20, 4), np.array([1, 0.5, 0.2]) / part, (((27, 8, 0), (33, 12, 4)),))
-grid, sines = grid_of(region), np.array(sines)
-workspace = core.WorstSubspaces(grid)
+lidars = [lidar(row[:3], row[3:], np.array(sines)) for row in poses[0]]
 seconds = []
-for number, rig in enumerate([poses[0], *poses]):
-    lidars = [lidar(row[:3], row[3:], sines) for row in rig]
-    for _ in range(3):
-        started = time.perf_counter()
-        workspace.max_vsr(cone_rows(lidars), UNLIMITED_SIGHT)
-        seconds += [time.perf_counter() - started] * (number > 0)
+with Evaluator(region, lidars, threads=1, skip=False) as evaluator:
+    for number, rig in enumerate([poses[0], *poses]):
+        trial = np.array([rig])
+        for _ in range(3):
+            started = time.perf_counter()
+            evaluator.costs(trial, np.zeros(1, np.int64), trial, np.full(1, np.inf))
+            seconds += [time.perf_counter() - started] * (number > 0)
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(json.dumps([region.included.size, statistics.median(seconds), max(seconds), memory]))
 """
@@ -173,24 +170,20 @@ SEDAN_WITH_BODY = """
 import json, statistics, sys, time
 from dataclasses import replace
 import numpy as np
-from lidarcfg.core import placement as core
-from lidarcfg.placement.cones import cone_rows
-from lidarcfg.placement.subspace import grid_of
+from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 from lidarcfg.placement.study import load_study, with_solver
 study, cycles = load_study(sys.argv[1]), int(sys.argv[2])
-grid, rng = grid_of(study.region), np.random.default_rng(1)
-workspace = core.WorstSubspaces(grid)
+rng = np.random.default_rng(1)
 seconds = [], []
 for poses in study.poses(rng.random((10, int(study.free.sum())))):
-    lidars = study.lidars(poses)
-    for of, sight in zip(seconds, (study.visibility.sight(lidars), UNLIMITED_SIGHT), strict=True):
-        workspace.max_vsr(cone_rows(lidars), sight)
-        for _ in range(5):
-            started = time.perf_counter()
-            workspace.max_vsr(cone_rows(lidars), sight)
-            of.append(time.perf_counter() - started)
+    trial = poses[None]
+    for of, sight in zip(seconds, (study.visibility, None), strict=True):
+        with Evaluator(study.region, study.lidars(poses), threads=1, skip=False, visibility=sight) as evaluator:
+            for n in range(6):
+                started = time.perf_counter()
+                evaluator.costs(trial, np.zeros(1, np.int64), trial, np.full(1, np.inf))
+                of += [time.perf_counter() - started] * (n > 0)
 runs = []
 for one in (study, replace(study, visibility=None, vehicle=None)) if cycles else ():
     optimize(with_solver(one, method="abc", bees=10, cycles=2), threads=1)

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write the tables of keys in docs/ from the kinds of requirements, the solvers, and what their keys say.
+"""Write the tables of keys in docs/ from the kinds of requirements, the terms, the solvers, and what their keys say.
 
 .venv/bin/python tools/make_keys.py          # writes them
 .venv/bin/python tools/make_keys.py --check  # exits with 1 if they are out of date
@@ -12,10 +12,10 @@ from pathlib import Path
 from lidarcfg.config.models import Model
 from lidarcfg.placement.solvers import SOLVERS, solver_of
 from lidarcfg.placement.solvers.solver import Solver
+from lidarcfg.placement.terms import TERMS
 from lidarcfg.requirements.kinds import KINDS
 
 DOCS = Path(__file__).parent.parent / "docs"
-BEGIN = "<!-- by tools/make_keys.py -->\n"
 END = "<!-- end -->\n"
 
 
@@ -33,6 +33,12 @@ def key_rows(models: Mapping[str, type[Model]], common: set[str]) -> list[str]:
                 keys.setdefault((key, field.description or ""), []).append(name)
     rows = ["| key | of | what it says |", "|---|---|---|"]
     return rows + [f"| `{key}` | {', '.join(f'`{one}`' for one in of)} | {said} |" for (key, said), of in keys.items()]
+
+
+def terms() -> list[str]:
+    """A row for each term of an objective."""
+    rows = ["| term of the objective | unit | what it is |", "|---|---|---|"]
+    return rows + [f"| `{key}` | {term.unit} | {term.field[1].description} |" for key, term in TERMS.items()]
 
 
 def requirements() -> list[str]:
@@ -58,19 +64,24 @@ def solvers() -> list[str]:
     return [*rows, "", *key_rows(models, {*Solver.model_fields})]
 
 
-PAGES: dict[str, Callable[[], list[str]]] = {"requirements.md": requirements, "optimise.md": solvers}
+TABLES: dict[tuple[str, str], Callable[[], list[str]]] = {
+    ("requirements.md", "kinds"): requirements,
+    ("optimise.md", "terms"): terms,
+    ("optimise.md", "solvers"): solvers,
+}
 
 
 def main(words: list[str]) -> int:
     """Write the pages, or compare them."""
     outdated = False
-    for name, table in PAGES.items():
-        text = (DOCS / name).read_text()
-        before, _, rest = text.partition(BEGIN)
-        made = before + BEGIN + "\n".join(table()) + "\n" + END + rest.partition(END)[2]
+    for (page, name), table in TABLES.items():
+        text = (DOCS / page).read_text()
+        begin = f"<!-- {name}, by tools/make_keys.py -->\n"
+        before, _, rest = text.partition(begin)
+        made = before + begin + "\n".join(table()) + "\n" + END + rest.partition(END)[2]
         outdated = outdated or made != text
         if words != ["--check"]:
-            (DOCS / name).write_text(made)
+            (DOCS / page).write_text(made)
     return int(words == ["--check"] and outdated)
 
 

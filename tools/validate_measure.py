@@ -27,13 +27,13 @@ from lidarcfg import core
 from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.geometry import Array, rotation
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement.blind_spots import AZIMUTHS, fraction_below
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, detection_by_distance, from_point
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import Subspaces, segment
+from lidarcfg.placement.visibility import fraction_below
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.returns.scanners import Poses, Scanner, compiled
 from lidarcfg.returns.target import Target
@@ -75,15 +75,13 @@ def drawn_places(study: Study, size_m: Array, count: int) -> Iterator[Array]:
     center = study.reference_m
     around = float(np.hypot(*size_m[:2])) / 2
     region = study.region
-    outline = np.append(study.outline_m, study.outline_m[0])
     low, high = region.min_m[:2] + around, region.max_m[:2] - around
     layers = max(math.ceil(size_m[2] / region.cuboid_m[2]), 1)
     taken = (~region.included[:, :, :layers]).any(axis=2)
     points = qmc.Sobol(3, rng=np.random.default_rng(1)).random(2**16)
     where = low + points[:, :2] * (high - low)
     far = np.hypot(*(where - center).T)
-    angle = np.degrees(np.arctan2(*(where - center).T[::-1])) % 360
-    free = far > around + np.interp(angle, np.arange(AZIMUTHS + 1), outline)
+    free = (study.body.to_points_m(where) if study.body else far) > around
     for dx, dy in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.7, 0.7), (0.7, -0.7), (-0.7, 0.7), (-0.7, -0.7)):
         i, j = (((where + around * np.array([dx, dy])) - region.min_m[:2]) / region.cuboid_m[:2]).astype(int).T
         free &= ~taken[i.clip(0, region.shape[0] - 1), j.clip(0, region.shape[1] - 1)]

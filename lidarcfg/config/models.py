@@ -45,6 +45,7 @@ class Model(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
     renamed: ClassVar[dict[str, str]] = {}  # keys of earlier versions → their new names
+    removed: ClassVar[dict[str, str]] = {}  # keys of earlier versions → what to do instead
     kind: ClassVar[str] = ""  # of file, such as `study`; empty for a part of a file
 
 
@@ -309,6 +310,8 @@ def unknown_key(name: str, model: type[Model]) -> str:
     """The message for a key that the model does not have."""
     if name in model.renamed:
         return f"renamed; it is now {model.renamed[name]}"
+    if name in model.removed:
+        return f"no longer a key; {model.removed[name]}"
     allowed = [field.alias or key for key, field in model.model_fields.items()]
     unit = [known for known in allowed if known.startswith(name + "_")]
     if unit:

@@ -12,7 +12,6 @@ Counts = NDArray[np.int64]
 Labels = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 Vector = Array | Sequence[float]
-Node = Counts | Sequence[int]
 
 class Placed(Protocol):
     """LiDARs at poses."""
@@ -93,14 +92,6 @@ class Grid:
     def shape(self) -> tuple[int, int, int]:
         """The cuboids along each axis."""
 
-class WorstSubspaces:
-    """Evaluates rigs in full. Not for several threads at once."""
-
-    def __init__(self, grid: Grid) -> None:
-        """For rigs in a grid."""
-    def max_vsr(self, cones: Array, sight: Sight) -> float:
-        """The largest volume to surface in metres, of cones (lidars, 6 + beams); −1 where no cuboid counts."""
-
 class TrialEvaluator:
     """Evaluates trials. Not for several threads at once."""
 
@@ -151,14 +142,3 @@ def detected_boxes(
     labels: Labels, low: Vector, edge: Vector, boxes: Array, size: Vector, threshold: int
 ) -> tuple[int, int]:
     """How many boxes (n, 4: centre x, y, bottom, heading) touch more than `threshold` subspaces; how many are free."""
-
-def find_ends(label: Labels) -> Words:
-    """(nx, ny, words) a bit for each cuboid, in columns along z: set where the next one is in another subspace."""
-
-def largest_sphere(
-    label: Labels, ends: Words, half: Vector, number: int, low: Node, high: Node
-) -> tuple[float, tuple[int, int, int]]:
-    """The square of the radius, and the centre, of the largest sphere in a subspace (−1: in any) from low to high."""
-
-def clearance(label: Labels, half: Vector, node: Node) -> float:
-    """The squared distance of a node from the nearest face; 0 on one."""

@@ -38,9 +38,6 @@ class Span(Protocol):
 def boxes_of(bvh: Bvh) -> Array:
     """(6, 16) low and high corners of boxes that together hold a hierarchy's shapes; (6, 0) if there are none."""
 
-def see_points(points: Array, cone: Array, sight: Sight, out: NDArray[np.bool_]) -> None:
-    """Write to out (N,) which of points (3, N) a LiDAR sees, whose position `cone` begins with; see Sight."""
-
 def mark_subspaces(label: NDArray[np.int32], cells: NDArray[np.int64], found: NDArray[np.bool_]) -> None:
     """Mark in found (n + 1,) the subspaces of label (nx, ny, nz) with a cuboid in cells (3, 2); last: excluded ones."""
 
@@ -55,6 +52,3 @@ def count_lines(
 
 def widen_spans(label: NDArray[np.int32], gap: NDArray[np.int64], blind: int, x: Span, y: Span, z: Span) -> None:
     """Widen the spans of lines along x, y and z by the gaps (n, lidars) of what lies on them, but blind ones."""
-
-def trace_outline(points: Array, triangles: NDArray[np.int64], out: Array) -> None:
-    """Raise out (directions,) to where rays from the origin cross edges of triangles (T, 3) of points (V, 2)."""

@@ -15,12 +15,13 @@ from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.metric import max_vsr
-from lidarcfg.placement.objective import Trial
 from lidarcfg.placement.region import AXES, BoxFile, Region
 from lidarcfg.placement.return_counts import DetectionTarget, return_counts
 from lidarcfg.placement.slots import unused_prices
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
+from lidarcfg.placement.terms.detection import DetectionTerm
+from lidarcfg.placement.trial import Trial
 from lidarcfg.requirements.file import entries_of
 from lidarcfg.requirements.kind import Kind
 from lidarcfg.returns.misses import SEARCH_PLACES
@@ -230,7 +231,7 @@ def _slow(study: Study) -> Iterator[Suspect]:
 
 def _cheaper(study: Study) -> str:
     """What would make an evaluation faster: where returns are counted, fewer places; elsewhere cuboids."""
-    if any(one.item.name in study.objective.detection for one in study.detection_targets):
+    if any(one.item.name in study.objective.given.get(DetectionTerm.key, {}) for one in study.detection_targets):
         return "a larger step_m or fewer headings_deg" + " or fewer samples" * bool(study.robust)
     return "coarser cuboids or fewer, larger objects" + " or fewer samples" * bool(study.robust)
 

@@ -1,7 +1,7 @@
 """How well a rig does in a study, what a LiDAR that fails changes, and how much each axis of each mount matters."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,16 +11,18 @@ from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
-from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
-from lidarcfg.placement.cones import Lidar, rig_lidars
+from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import Counted, Detection, counted_places, detection
 from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.extrapolation import Extrapolated, extrapolate
-from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
-from lidarcfg.placement.objective import Criterion, Trial, without_cones
+from lidarcfg.placement.metric import Extent, extents, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.objective import Criterion, without_cones
 from lidarcfg.placement.return_counts import ReturnCounts, return_counts
+from lidarcfg.placement.spheres import largest_spheres
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
+from lidarcfg.placement.trial import Trial
+from lidarcfg.placement.visibility import seen_by_m3
 from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.requirements.post_visibility import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
@@ -146,12 +148,12 @@ class Evaluation:
     detection: dict[str, Detection]  # by object
     counted: dict[str, Counted]  # by object whose places on the grid are counted
     return_counts: dict[str, ReturnCounts]  # by object that is detected by returns
-    blind: BlindSpots
+    seen_by_m3: Array  # (LiDARs + 1,) the volume that exactly 0, 1, 2 … of them see, whatever their beams
     zones: tuple[ZoneVsr, ...]  # of studies that have some
     extrapolated: Extrapolated | None  # if a tolerance was asked for
     seconds: float
     robustness: Robustness | None = None  # where it was asked for, and is cheap
-    posts: tuple[PostVisibility, ...] = ()  # where posts of HEIGHTS_M are seen, where that was asked for and is known
+    posts: tuple[PostVisibility, ...] = ()  # where posts are seen, where that was asked for and is known
     misses: MissesFound | None = None  # at fresh places; None: no vehicle, or sensors lack facts
     verdict: Verdict | None = None  # of a study with requirements
     verifier: Verifier | None = None  # that reached it, if it was reached here: it knows the rig's counts
@@ -192,16 +194,15 @@ def evaluate(
     extrapolated = None if tolerance is None else extrapolate(study.region, lidars, tolerance, study.visibility)
     subspaces = segment(study.region, lidars, study.visibility)
     vsr = vsr_m(subspaces)
-    spheres = Spheres(subspaces)
+    radius = largest_spheres(subspaces).radius_m
     numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
     where = extents(subspaces, numbers)
-    worst = _worst(rig, subspaces, vsr, spheres, dict(zip(numbers, where, strict=True)))
+    worst = _worst(rig, subspaces, vsr, radius, dict(zip(numbers, where, strict=True)))
     seen = _return_counts(study, rig, on_progress)
     counted = {
         item.name: counted_places(subspaces, item) for item in study.detection if not (item.samples or item.returns)
     }
     rates = _rates(study, subspaces, seen, counted)
-    blind = blind_spots(study, subspaces, lidars)
     zones = max_vsr_by_zone(study.zones, subspaces)
     misses = misses_of(study, rig)
     verifier = None
@@ -214,11 +215,11 @@ def evaluate(
         vsr_m=vsr,
         worst=worst,
         extents=tuple(where),
-        sphere_m=spheres.largest()[0],
+        sphere_m=float(radius.max()),
         detection=rates,
         counted=counted,
         return_counts=seen,
-        blind=blind,
+        seen_by_m3=seen_by_m3(study.region, subspaces.seen, len(lidars)),
         zones=zones,
         extrapolated=extrapolated,
         seconds=seconds,
@@ -238,7 +239,7 @@ def misses_of(study: Study, rig: Rig) -> MissesFound | None:
         return None
 
 
-def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, spheres: Spheres, where: dict[int, Extent]) -> tuple[Worst, ...]:
+def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, radius: Array, where: dict[int, Extent]) -> tuple[Worst, ...]:
     """The subspaces with these numbers."""
     volume = volume_m3(subspaces)
     surface = surface_m2(subspaces)
@@ -251,7 +252,7 @@ def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, spheres: Spheres, where: 
                 vsr_m=float(vsr[number]),
                 volume_m3=float(volume[number]),
                 surface_m2=float(surface[number]),
-                inscribed_radius_m=spheres.radius_m(number, extent),
+                inscribed_radius_m=float(radius[number]),
                 centroid_m=extent.centroid_m.tolist(),
                 min_m=low.tolist(),
                 max_m=high.tolist(),
@@ -276,17 +277,6 @@ def _rates(
         else detection(subspaces, item, counted.get(item.name))
         for item in study.detection
     }
-
-
-def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> BlindSpots:
-    """The volume by the number of LiDARs that see it, and the blind-spot contours at heights within the region."""
-    volume = seen_by_m3(study.region, subspaces.seen, len(lidars))
-    if study.visibility is None:
-        return BlindSpots(volume, ())
-    seen = seen_by_any(study.visibility, lidars)
-    tall = float(study.region.max_m[2] - study.region.min_m[2])
-    contours = [contour(study.directions(height), seen) for height in HEIGHTS_M if height <= tall]
-    return BlindSpots(volume, tuple(contours))
 
 
 def _return_counts(

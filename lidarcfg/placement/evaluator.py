@@ -22,9 +22,10 @@ from lidarcfg.geometry import Array, level, up
 from lidarcfg.inputs import check_memory
 from lidarcfg.placement.batch import Batch, BatchResult, Counter, Placed, Sources, parallel_for
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows
-from lidarcfg.placement.objective import Criterion, Trial
+from lidarcfg.placement.objective import Criterion
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Words, check_grid, cuboid_number, grid_of
+from lidarcfg.placement.trial import Trial
 from lidarcfg.placement.visibility import LIMITS, UNLIMITED_SIGHT, Visibility
 
 CACHE_BYTES = 256 * 2**20

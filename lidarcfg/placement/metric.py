@@ -1,6 +1,5 @@
-"""How large subspaces are: the paper's volume-to-surface ratio (VSR), and the largest sphere inside."""
+"""How large subspaces are: the paper's volume-to-surface ratio (VSR), and where they are."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +16,6 @@ from lidarcfg.placement.visibility import UNLIMITED_SIGHT, Visibility
 
 Counts = NDArray[np.int64]
 Lines = NDArray[np.int32]
-Node = tuple[int, int, int]  # a point of the lattice of half cuboids, whose origin is the region's lower corner
 
 
 def volume_m3(subspaces: Subspaces) -> Array:
@@ -63,36 +61,6 @@ def _surface(cuboids: Counts, internal: Counts, cuboid_m: Array) -> Array:
     outer = cuboids[:, None] - internal
     surface: Array = 2.0 * (outer[:, 0] * (ey * ez) + outer[:, 1] * (ex * ez) + outer[:, 2] * (ex * ey))
     return surface
-
-
-class Spheres:
-    """Finds the largest spheres inside subspaces' cuboids, with centres on the lattice of half cuboids.
-
-    From such a centre the nearest point of a face lies on that lattice too, so radii are exact.
-    """
-
-    def __init__(self, subspaces: Subspaces) -> None:
-        self._region = subspaces.region
-        self._label = subspaces.label
-        self._ends = core.placement.find_ends(subspaces.label)
-
-    def largest(self) -> tuple[float, Node]:
-        """Radius in metres and centre of the largest sphere in any subspace; of equal ones, the lattice's first."""
-        square, node = self._search(-1, (0, 0, 0), self._region.shape)
-        return math.sqrt(square), node
-
-    def radius_m(self, number: int, extent: "Extent") -> float:
-        """The radius of the largest sphere in one subspace."""
-        square, _ = self._search(number, extent.low, extent.high)
-        return math.sqrt(square)
-
-    def _search(self, number: int, low: Node | Counts, high: Node | Counts) -> tuple[float, Node]:
-        return core.placement.largest_sphere(self._label, self._ends, self._region.cuboid_m / 2, number, low, high)
-
-
-def clearance_m(subspaces: Subspaces, centre: Node) -> float:
-    """The radius of the largest sphere around a node of the half cuboids' lattice that no face cuts; 0 on a face."""
-    return math.sqrt(core.placement.clearance(subspaces.label, subspaces.region.cuboid_m / 2, centre))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from lidarcfg import core, maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.blind_spots import HEIGHTS_M
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, GapFit, Rings, detection_by_distance, gap_fit
 from lidarcfg.placement.evaluation import Evaluation, robustness
@@ -84,6 +83,7 @@ def coverage(subspaces: Subspaces) -> Coverage:
 
 CHEAP_CUBOIDS = 100_000  # up to this size some more evaluations take a fraction of a second
 LOOSE = 1.0  # a tolerance that two halvings of the cuboids reach
+POSTS_M = (0.25, 0.5, 1.0)  # heights of the posts that are looked for around the vehicle
 RINGS_MAX = 12
 RING_M = (1, 2, 5)  # times a power of ten
 
@@ -200,7 +200,7 @@ def _posts(study: Study, rig: Rig) -> tuple[PostVisibility, ...]:
     ground_m = obstacles.ground_m if math.isfinite(obstacles.ground_m) else float(study.region.min_m[2])
     posts = PostPlaces.around(study.body, ground_m)
     try:
-        return tuple(post_visibility(posts, height_m, rig.mounts, obstacles) for height_m in HEIGHTS_M)
+        return tuple(post_visibility(posts, height_m, rig.mounts, obstacles) for height_m in POSTS_M)
     except ConfigError:  # a sensor's file lacks facts
         return ()
 

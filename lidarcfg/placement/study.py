@@ -14,16 +14,12 @@ from numpy.typing import NDArray
 from lidarcfg import core, maths
 from lidarcfg.config.models import NAME_MAX, Given, error_at, errors_at, load_or_check, whole_values
 from lidarcfg.geometry import Array, up
-from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.cones import Lidar, placed, rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Distances, check_fits, from_point
 from lidarcfg.placement.objective import (
     EVERY_CASE,
     Criterion,
-    MissesTerm,
-    MissRate,
     Objective,
-    Trial,
     without_cones,
 )
 from lidarcfg.placement.region import Region
@@ -45,6 +41,9 @@ from lidarcfg.placement.solvers.solver import Solver
 from lidarcfg.placement.study_file import NONE, Constraints, StudyFile, VisibilityFile, changed
 from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
+from lidarcfg.placement.terms.misses import MissesTerm
+from lidarcfg.placement.terms.term import TermContext
+from lidarcfg.placement.trial import Trial
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.requirements.context import Context, VehicleSite
@@ -191,11 +190,8 @@ class Study:
 
     @property
     def objective_cuts(self) -> bool:
-        """Whether the objective needs the subspaces: all but detection by returns and the blind spot's distance do."""
-        wanted = self.objective
-        returns = {item.name for item in self.detection if item.returns}
-        own = (wanted.max_vsr, wanted.inscribed_radius, wanted.blind_volume, wanted.seen_by_two)  # not misses
-        return wanted.is_max_vsr or any(one is not None for one in own) or bool(set(wanted.detection) - returns)
+        """Whether the objective needs the subspaces: all but misses and detection by returns do."""
+        return self.objective.cuts(self.detection)
 
     @property
     def to_choose(self) -> bool:
@@ -225,17 +221,16 @@ class Study:
         A rig whose sensors are not the study's needs its mounts here. Misses are counted at the places of `known`
         returns; without them, at fresh ones.
         """
-        spot = self.objective.blind_spot_m
-        around = None if spot is None else self.directions(spot.height_m)
-        mounts = mounts or self.rig(self.lower).mounts
-
-        wanted = [one for one in self.detection_targets if one.item.name in self.objective.detection]
-        missed = {one.item.name: MissRate(one, mounts) for one in wanted}
-        term = None
-        if self.objective.misses and self.misses:
-            term = MissesTerm(self.misses, known or self.misses.fresh, mounts)
-        weight = weights(self.zones, self.region)
-        return Criterion(self.objective, self.region, self.detection, around, missed, term, weight, kept)
+        context = TermContext(
+            region=self.region,
+            objects=self.detection,
+            targets=self.detection_targets,
+            weight=weights(self.zones, self.region),
+            misses=self.misses,
+            known=known,
+            mounts=mounts or self.rig(self.lower).mounts,
+        )
+        return Criterion(self.objective, context, kept)
 
     def scanners(self, mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
         """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
@@ -284,15 +279,6 @@ class Study:
         target = known[item.name] if item.name in known else box_target(item.box_m)
         footprint = Footprint.of((target.mesh[0] - target.origin_m, target.mesh[1]))
         return lambda places: body.to_objects_m(footprint, places)
-
-    @cached_property
-    def outline_m(self) -> Array:
-        """(AZIMUTHS,) from the reference point to the outline of the bodies seen from above; 0 without a vehicle."""
-        return outline_m(self.reference_m, *self.vehicle.scene.mesh()) if self.vehicle else np.zeros(AZIMUTHS)
-
-    def directions(self, height_m: float) -> Directions:
-        """The directions around the vehicle at a height above the region's floor."""
-        return directions(self.region, self.reference_m, self.outline_m, height_m)
 
     def cost(self, poses: Array) -> float:
         """The objective of one rig's poses (slots, 6), computed in full: by definition, what a search minimises."""
@@ -369,7 +355,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
     only_required = False
     if "objective" not in file.model_fields_set:
         if bodies:
-            file = file.model_copy(update={"objective": Objective(misses=MissesFile())})
+            file = file.model_copy(update={"objective": Objective({MissesTerm.key: MissesFile()})})
         else:
             only_required = bool(found)
     if fault := without_cones(file.objective, file.detection, only_required, slots.sensors):

@@ -15,8 +15,9 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.evaluator import Evaluator, Index
-from lidarcfg.placement.objective import EVERY_CASE, Criterion, Recent
+from lidarcfg.placement.objective import EVERY_CASE, Criterion
 from lidarcfg.placement.study import Study
+from lidarcfg.placement.terms.recent import Recent
 from lidarcfg.requirements.robustness import mounted
 from lidarcfg.returns.misses import SEARCH_PLACES
 

@@ -26,11 +26,12 @@ from lidarcfg.config.models import (
 )
 from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
-from lidarcfg.placement.objective import SIGHT, Objective
+from lidarcfg.placement.objective import Objective
 from lidarcfg.placement.region import RegionFile
 from lidarcfg.placement.solvers import DEFAULT, GONE, SOLVERS, solver_of
 from lidarcfg.placement.solvers.solver import BUDGETS, Solver
 from lidarcfg.placement.surfaces import SurfaceFile
+from lidarcfg.placement.terms import TERMS
 from lidarcfg.placement.zones import ELSEWHERE, ZoneFile
 from lidarcfg.requirements.file import RequirementOrFile
 from lidarcfg.requirements.robustness import Robust
@@ -218,7 +219,7 @@ class StudyFile(Model):
     vehicle: VehicleFile | None = None
     surroundings: FileName | None = None  # a scene's file, relative to the study's
     visibility: VisibilityFile | None = None
-    objective: Objective = Objective()
+    objective: Objective = Field(default_factory=Objective)
     constraints: Constraints = Constraints()
     requirements: tuple[RequirementOrFile, ...] | None = None
     robust: Robust | None = None
@@ -240,8 +241,7 @@ class StudyFile(Model):
         if self.requirements == ():
             raise validation_error("asks for nothing; give a requirement, or remove the key", "requirements")
         self._check_prices()
-        names = [item.name for item in self.detection]
-        check_names(names, "an object", "detection")
+        check_names((item.name for item in self.detection), "an object", "detection")
         for i, group in enumerate(self.sensors):
             if group.on and not self.vehicle:
                 raise validation_error("needs the study's vehicle, and there is none", "sensors", i, "on")
@@ -249,19 +249,9 @@ class StudyFile(Model):
             if zone.name == ELSEWHERE:
                 raise validation_error(f"{ELSEWHERE!r} is what lies in no zone; give another name", "zones", i, "name")
         check_names((zone.name for zone in self.zones), "a zone", "zones")
-        if self.objective.misses and not self.vehicle:
-            what = "are counted around the vehicle's body, and the study has no vehicle; give one"
-            raise validation_error(what, "objective", "misses")
-        if not self.limits_sight:
-            for key in SIGHT:
-                if getattr(self.objective, key) is not None:
-                    what = "is the same for every rig where nothing limits the sight"
-                    raise validation_error(f"{what}; give a vehicle, surroundings or ranges", "objective", key)
+        for key, given in self.objective.given.items():
+            TERMS[key].check(given, self)
         _check_constraints(self)
-        for name in self.objective.detection:
-            if name not in names:
-                allowed = ", ".join(names) or "none, as the study has no detection"
-                raise validation_error(f"no such object; allowed: {allowed}", "objective", "detection", name)
         return self
 
     def _check_prices(self) -> None:

@@ -112,13 +112,6 @@ def compare_labels(region: Region, lidars: Sequence[Lidar], sight: Sight = UNLIM
     return Labels(region, lidars, grid, links, seen)
 
 
-def seen_cuboids(region: Region, lidars: Sequence[Lidar], sight: Sight) -> NDArray[np.bool_]:
-    """(lidars, nx, ny, nz): which cuboids each LiDAR sees; none that is excluded."""
-    words = _seen(grid_of(region), cone_rows(lidars), sight)
-    each = [count_set(region, row[None]).astype(np.bool_) for row in words]
-    return np.array(each, np.bool_).reshape(len(lidars), *region.shape)
-
-
 def _seen(grid: core.Grid, cones: Array, sight: Sight) -> Words:
     """(lidars, rows) the words of which cuboids each LiDAR sees, computed on threads where the grid is large."""
     if grid.rows <= LARGE or len(cones) <= 1:

@@ -53,7 +53,7 @@ def work(content: bytes, theirs: dict[str, str]) -> RunResult:
 def figures(found: Placement) -> dict[str, float | int | None]:
     """The figures of a search, by the names of the table's columns."""
     evaluation = found.evaluation
-    volume = evaluation.blind.seen_by_m3
+    volume = evaluation.seen_by_m3
     return {
         "cost": found.objective,
         **({"misses": evaluation.misses.mean} if evaluation.misses else {}),

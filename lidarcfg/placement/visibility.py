@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg import core, maths
+from lidarcfg import maths
 from lidarcfg.geometry import Array
-from lidarcfg.placement.cones import Lidar, cone_rows
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles
@@ -93,9 +93,21 @@ class Visibility:
         """What the core takes of these LiDARs."""
         return Sight(self.limits(lidars), self.obstacles)
 
-    def seen_points(self, points_m: Array, lidar: Lidar) -> NDArray[np.bool_]:
-        """(N,): which points (N, 3) a LiDAR sees."""
-        out = np.empty(len(points_m), np.bool_)
-        points = np.ascontiguousarray(np.asarray(points_m, np.float64).T)
-        core.visibility.see_points(points, cone_rows([lidar])[0], self.sight([lidar]), out)
-        return out
+
+def seen_by_m3(region: Region, seen_by: NDArray[np.integer] | None, lidars: int) -> Array:
+    """(lidars + 1,) the volume of the region that exactly 0, 1, 2 … LiDARs see; seen_by (nx, ny, nz), None: all."""
+    count = np.zeros(lidars + 1, np.int64)
+    if seen_by is None:
+        count[lidars] = np.count_nonzero(region.included)
+    else:
+        for number in range(1, lidars + 1):
+            count[number] = sum(np.count_nonzero(layer == number) for layer in seen_by)
+        count[0] = np.count_nonzero(region.included) - count.sum()  # what is excluded is seen by none, too
+    volume: Array = count * np.prod(region.cuboid_m, dtype=np.float64)
+    return volume
+
+
+def fraction_below(region: Region, seen_by: NDArray[np.integer], least: int) -> float:
+    """The fraction of the region's volume that fewer than `least` LiDARs see; `seen_by` (nx, ny, nz) counts them."""
+    below = (seen_by < least) & region.included
+    return float(np.count_nonzero(below) / np.count_nonzero(region.included))

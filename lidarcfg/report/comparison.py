@@ -16,7 +16,6 @@ from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
-from lidarcfg.report.blind_spots import compare_contours
 from lidarcfg.report.describe import (
     beams,
     counted,
@@ -138,7 +137,7 @@ def _rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
             for name in (item.name for item in study.detection)
         ),
         *_post_rows(found),
-        *_blind_rows(found),
+        *(_sight_rows(found) if study.visibility else []),
         _row("beams across an upright pole, median", "g", (one.median_beams for one in coverage), 1),
         _row("positions with no beam", ".2%", (one.by_none for one in coverage), -1),
         _row("positions with one sensor's beams", ".2%", (one.by_one_sensor for one in coverage), -1),
@@ -212,21 +211,13 @@ def _post_rows(found: Sequence[Evaluation]) -> list[Row]:
     return rows
 
 
-def _blind_rows(found: Sequence[Evaluation]) -> list[Row]:
-    """Volumes by the number of LiDARs, and how far the shadow reaches; none where all see everything."""
-    blind = [one.blind for one in found]
-    if not blind[0].contours:
-        return []
-    rows = [
-        _row("shadow (m³)", ",.2f", (one.volume_m3 for one in blind), -1),
-        _row("volume seen by one LiDAR (m³)", ",.2f", (one.seen_by_m3[1] for one in blind)),
-        _row("volume seen by two or more (m³)", ",.2f", (one.seen_by_m3[2:].sum() for one in blind), 1),
+def _sight_rows(found: Sequence[Evaluation]) -> list[Row]:
+    """Volumes by the number of LiDARs that see them."""
+    return [
+        _row("shadow (m³)", ",.2f", (one.seen_by_m3[0] for one in found), -1),
+        _row("volume seen by one LiDAR (m³)", ",.2f", (one.seen_by_m3[1] for one in found)),
+        _row("volume seen by two or more (m³)", ",.2f", (one.seen_by_m3[2:].sum() for one in found), 1),
     ]
-    for ones in zip(*(one.contours for one in blind), strict=True):
-        what = f"shadow {ones[0].directions.height_m:g} m above the ground"
-        rows.append(_row(f"{what}, largest (m)", ".2f", (one.largest_m for one in ones), -1))
-        rows.append(_row(f"{what}, area (m²)", ".2f", (one.area_m2 for one in ones), -1))
-    return rows
 
 
 def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
@@ -278,7 +269,6 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
     coverage = [(rig.title, rig.rig, rig.details.coverage) for rig in rigs]
     shown = drawings.least_detected([rig.found for rig in rigs])
     rings = [(name, {rig.title: rig.details.rings[name] for rig in rigs}) for name in shown]
-    blind = [(rig.title, rig.rig, rig.found.blind) for rig in rigs]
     return render(
         "comparison.html",
         title=f"Comparison: {study.name}",
@@ -300,7 +290,6 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         sizes=drawings.draw_sizes([(rig.title, rig.details) for rig in rigs]),
         drawn_objects=len(study.detection) > len(shown) and len(shown),
         rings=drawings.draw_rings(rings) if rings else None,
-        blind=compare_contours(study.region, blind) if blind[0][2].contours else None,
         limits=describe_limits(study),
         origin=describe_origin(study),
         coverage=drawings.compare_coverage(study.region, coverage),

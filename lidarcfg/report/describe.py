@@ -13,9 +13,10 @@ from lidarcfg.placement.detection import Detection, DetectionObject, GapFit, Ret
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
+from lidarcfg.placement.terms import TERMS
+from lidarcfg.placement.terms.misses import describe_misses
 from lidarcfg.report.table import PRICE, written
 from lidarcfg.report.text import truncate
-from lidarcfg.returns.misses import MissesFile
 from lidarcfg.sensors.rig import Rig
 
 PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")
@@ -191,29 +192,10 @@ def _describe_terms(study: Study) -> str:
     if wanted.is_max_vsr:
         weighted = ", times the weight of its zones" if study.zones else ""
         return f"max VSR, the largest volume-to-surface ratio of all subspaces{weighted}"
-    if wanted.is_misses and wanted.misses:
-        return _describe_misses(wanted.misses)
-    terms = [f"{wanted.misses.weight:g} × {_describe_misses(wanted.misses)}"] if wanted.misses else []
-    terms += [] if wanted.max_vsr is None else [f"{wanted.max_vsr:g} × max VSR in metres"]
-    if wanted.inscribed_radius is not None:
-        terms.append(f"{wanted.inscribed_radius:g} × the radius of the largest sphere in a subspace, in metres")
-    if wanted.blind_volume is not None:
-        terms.append(f"{wanted.blind_volume:g} × the fraction of the region that no LiDAR sees")
-    if wanted.seen_by_two is not None:
-        terms.append(f"{wanted.seen_by_two:g} × the fraction that fewer than two LiDARs see")
-    if spot := wanted.blind_spot_m:
-        what = f"the blind spot's largest distance from the body, {spot.height_m:g} m above the ground, in metres"
-        terms.append(f"{spot.weight:g} × {what}")
-    terms += [f"{weight:g} × (1 − detection rate of {truncate(name)})" for name, weight in wanted.detection.items()]
+    if wanted.misses and wanted.is_misses:
+        return describe_misses(wanted.misses, truncate)
+    terms = [one for key, given in wanted.given.items() for one in TERMS[key].describe(given, truncate)]
     return "the weighted mean of " + ", ".join(terms)
-
-
-def _describe_misses(asked: MissesFile) -> str:
-    """Misses, and the objects where these are not the default."""
-    names = [
-        truncate(name) if weight == 1 else f"{truncate(name)} × {weight:g}" for name, weight in asked.objects.items()
-    ]
-    return f"misses, the share of places where an object gets fewer than {asked.returns} returns ({', '.join(names)})"
 
 
 def cost_label(study: Study) -> str:

@@ -15,9 +15,8 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND
 from lidarcfg.report import drawings
 from lidarcfg.report.blind_spots import (
-    contours_table,
-    draw_blind_spots,
     draw_posts_by_height,
+    draw_unseen,
     post_figure,
     posts_table,
     volumes_table,
@@ -199,8 +198,7 @@ def _tables(study: Study, rig: Rig, details: ReportInputs) -> dict[str, Table | 
         "lost": lost_table(robust, study) if robust and robust.without else None,
         "sensitivity": sensitivity_table(rig, robust) if robust else None,
         "posts": posts_table(found.posts) if found.posts else None,
-        "volumes": volumes_table(found.blind),
-        "contours": contours_table(found.blind) if found.blind.contours else None,
+        "volumes": volumes_table(found.seen_by_m3),
         "shape": shape_table(details),
     }
 
@@ -227,7 +225,7 @@ def _drawings(
         "rings": drawings.draw_rings(rings) if details.rings else None,
         "places": drawings.draw_places(region, rig, places) if places else None,
         "posts": draw_posts_by_height(study.body, rig, found.posts) if found.posts and study.body else None,
-        "blind": draw_blind_spots(found.subspaces, rig, found.blind) if found.blind.contours else None,
+        "unseen": draw_unseen(found.subspaces, rig) if study.visibility else None,
         "coverage": drawings.draw_coverage(region, rig, details.coverage),
     }
 
@@ -250,19 +248,11 @@ def _summary(study: Study, rig: Rig, details: ReportInputs, placement: Placement
     elif placement and not (study.is_max_vsr or study.is_misses):
         figures.append(KeyFigure("Objective", f"{placement.objective:.6f}", describe_objective(study)))
     figures += _max_vsr_figures(rig, details) if has_cones(rig) else []
-    if found.blind.contours:
-        part = found.blind.volume_m3 / float(found.blind.seen_by_m3.sum())
-        figures.append(
-            KeyFigure(
-                "Shadow: seen by no sensor, whatever its beams",
-                f"{found.blind.volume_m3:.2f} m³",
-                f"{part:.2%} of the region",
-            )
-        )
-        low = found.blind.contours[0]
-        where = f"{low.directions.height_m:g} m above the ground, at {low.largest_at_deg:.0f}°"
-        least = "≥ " if low.largest_reaches_edge else ""
-        figures.append(KeyFigure("Shadow, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
+    if study.visibility:
+        volume = float(found.seen_by_m3[0])
+        part = volume / float(found.seen_by_m3.sum())
+        what = "Shadow: seen by no sensor, whatever its beams"
+        figures.append(KeyFigure(what, f"{volume:.2f} m³", f"{part:.2%} of the region"))
     figures += [post_figure(posts) for posts in found.posts]
     for item in study.detection:
         if found.misses and not item.returns:

@@ -404,7 +404,8 @@ def _marker(model: int) -> str:
 def _pictures_extent(study: Study, found: Front) -> tuple[Array, Array]:
     """The corners of all pictures: the extent of the vehicle and the sensors."""
     at = [mount.position_m[:2] for point in found.points for mount in point.placement.rig.mounts]
-    points = np.array([*at, *_outline(study)])
+    outlines = study.body.outlines_m if study.body else ()
+    points = np.concatenate([np.array(at), *outlines])
     low = points.min(axis=0)
     high = points.max(axis=0)
     size = max(float((high - low).max()), 0.5)
@@ -412,19 +413,10 @@ def _pictures_extent(study: Study, found: Front) -> tuple[Array, Array]:
     return low - more, high + more
 
 
-def _outline(study: Study) -> Array:
-    """(n, 2) the outline of the vehicle from above; nothing without one."""
-    if not study.vehicle:
-        return np.empty((0, 2))
-    angle = np.radians(np.arange(len(study.outline_m)) * 360.0 / len(study.outline_m))
-    outline: Array = study.reference_m + study.outline_m[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    return outline
-
-
 def _draw_rig(axes: "Axes", study: Study, point: Point, models: list[str]) -> None:
-    outline = _outline(study)
-    if len(outline):
-        axes.fill(outline[:, 0], outline[:, 1], color=EXCLUDED, alpha=0.35, lw=0)
+    if study.body:
+        for outline in study.body.outlines_m:
+            axes.fill(*outline.T, color=EXCLUDED, alpha=0.35, lw=0)
     elif not study.region.included.all():
         shade_excluded(axes, study.region, "top")
     for mount in point.placement.rig.mounts:

@@ -17,7 +17,6 @@ from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.geometry import Array
-from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.evaluation import OFFSETS, STEP_DEG, STEP_M, Evaluation, Robustness
 from lidarcfg.placement.report_inputs import ReportInputs
@@ -55,9 +54,8 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         },
         "detection_spacing_m": {item.name: _spacing_m(study, item) for item in study.detection},
         "detection_places": {name: detection.places for name, detection in found.detection.items()},
-        "seen_by_m3": found.blind.seen_by_m3.tolist(),
-        "shadow_volume_m3": found.blind.volume_m3,
-        "shadow": [_contour(contour) for contour in found.blind.contours],
+        "seen_by_m3": found.seen_by_m3.tolist(),
+        "shadow_volume_m3": float(found.seen_by_m3[0]),
         "blind_spots": [_posts(posts) for posts in found.posts],
         "zones": [asdict(zone) for zone in found.zones],
         "robustness": found.robustness and _robustness(rig, found.robustness),
@@ -104,23 +102,6 @@ def _posts(posts: PostVisibility) -> dict[str, Any]:
         "first_seen_m": column(posts.first_seen_m),
         "longest_gap_m": column(posts.longest_gap_m),
         "seen_without_gaps_to_m": column(posts.seen_to_m),
-    }
-
-
-def _contour(contour: Contour) -> dict[str, Any]:
-    """A contour of the shadow; a distance of null where the region has no part in that direction."""
-    around = contour.directions
-    return {
-        "height_m": around.height_m,
-        "largest_m": contour.largest_m,
-        "largest_at_deg": contour.largest_at_deg,
-        "area_m2": contour.area_m2,
-        "center_m": around.center_m.tolist(),
-        "step_m": around.step_m,
-        "azimuth_deg": contour.azimuth_deg.tolist(),
-        "outline_m": around.outline_m.tolist(),
-        "distance_m": [None if math.isnan(distance) else distance for distance in contour.distance_m.tolist()],
-        "reaches_edge": contour.reaches_edge.tolist(),
     }
 
 

@@ -2,7 +2,7 @@
 
 from rich.console import Console
 
-from lidarcfg.placement.blind_spots import BlindSpots
+from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.extrapolation import Extrapolated
 from lidarcfg.placement.search_run import Placement
@@ -79,8 +79,8 @@ def _print_rest(study: Study, rig: Rig, found: Evaluation) -> None:
         console.print(f"{whose}detection rate of {truncate(name)}: {detection.rate:.4f} ({how})")
         if detection.returns:
             console.print(f"  {describe_returns(detection.returns)}")
-    for line in blind_lines(found.blind):
-        console.print(line)
+    if study.visibility:
+        console.print(volumes_line(found.seen_by_m3))
     if cones:
         console.print("the worst subspaces:")
         print_table(worst_table(found).without("", "surface"))
@@ -97,22 +97,14 @@ def _print_max_vsr(console: Console, rig: Rig, found: Evaluation) -> None:
         console.print(line)
 
 
-def blind_lines(blind: BlindSpots) -> list[str]:
-    """The volume by the number of LiDARs, and how far the shadow reaches; nothing where all see everything."""
-    if not blind.contours:
-        return []
-    total = float(blind.seen_by_m3.sum())
-    volumes = {f"{n}": volume for n, volume in enumerate(blind.seen_by_m3.tolist())}
+def volumes_line(seen_by_m3: Array) -> str:
+    """The volume by the number of LiDARs that see it (LiDARs + 1,)."""
+    total = float(seen_by_m3.sum())
+    volumes = {f"{n}": volume for n, volume in enumerate(seen_by_m3.tolist())}
     if len(volumes) > MANY + 1:
-        volumes = dict(list(volumes.items())[:FEW]) | {f"{FEW} or more": float(blind.seen_by_m3[FEW:].sum())}
+        volumes = dict(list(volumes.items())[:FEW]) | {f"{FEW} or more": float(seen_by_m3[FEW:].sum())}
     parts = [f"{n}: {volume:,.2f} m³ ({volume / total:.1%})" for n, volume in volumes.items()]
-    lines = [f"volume by the number of LiDARs that see it: {', '.join(parts)}"]
-    for contour in blind.contours:
-        height = contour.directions.height_m
-        least = "at least " if contour.largest_reaches_edge else ""
-        far = f"{least}{contour.largest_m:.2f} m from the body at {contour.largest_at_deg:.0f}°"
-        lines.append(f"shadow {height:g} m above the ground: up to {far}, {contour.area_m2:.2f} m² in all")
-    return lines
+    return f"volume by the number of LiDARs that see it: {', '.join(parts)}"
 
 
 def extrapolated_line(found: Extrapolated) -> str:

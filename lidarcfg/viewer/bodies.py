@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.blind_spots import fraction_below
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.metric import Extent, extents, max_vsr, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import Subspaces, segment
-from lidarcfg.placement.visibility import Visibility
+from lidarcfg.placement.visibility import Visibility, fraction_below
 from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.viewer.mounting import poses_in_study

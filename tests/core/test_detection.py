@@ -1,4 +1,4 @@
-"""The core's spheres in subspaces, and boxes that touch them."""
+"""The core's boxes that touch subspaces."""
 
 import numpy as np
 import pytest
@@ -6,34 +6,6 @@ import pytest
 from lidarcfg.core import placement as core
 
 ONE = (1.0, 1.0, 1.0)
-
-
-def test_the_largest_sphere_is_found():
-    label = np.zeros((5, 6, 70), np.int32)
-    label[:, :, 66:] = -1
-    label[2, 3, 3] = 1
-    ends = core.find_ends(label)
-    assert ends.shape == (5, 6, 2)
-    assert (int(ends[0, 0, 0]), int(ends[0, 0, 1])) == (0, 1 << 1 | 1 << 5)
-    square, node = core.largest_sphere(label, ends, (0.5, 0.5, 0.5), -1, (0, 0, 0), label.shape)
-    assert (square, node) == (6.25, (5, 5, 13))
-    assert core.clearance(label, (0.5, 0.5, 0.5), node) == square
-    assert core.largest_sphere(label, ends, (0.5, 0.5, 0.5), 1, (2, 3, 3), (3, 4, 4))[0] == 0.25
-    assert core.clearance(label, (0.5, 0.5, 0.5), (10, 0, 0)) == 0.0
-    for changed, named in (
-        ({"half": (0.5, 0.0, 0.5)}, "half"),
-        ({"ends": ends[:, :, :1].copy()}, "ends"),
-        ({"ends": np.zeros_like(ends)}, "ends"),
-        ({"low": (-1, 0, 0)}, "low"),
-        ({"low": (3, 0, 0), "high": (2, 1, 1)}, "low"),
-        ({"high": (6, 6, 70)}, "high"),
-        ({"label": label[1:]}, "ends"),
-    ):
-        arguments = {"label": label, "ends": ends, "half": (0.5, 0.5, 0.5), "number": -1, "low": (0, 0, 0)}
-        with pytest.raises(ValueError, match=named):
-            core.largest_sphere(**arguments | {"high": label.shape} | changed)
-    with pytest.raises(ValueError, match="node"):
-        core.clearance(label, (0.5, 0.5, 0.5), (0, -1, 0))
 
 
 @pytest.mark.parametrize("high", [3, 64, 70, 130])

@@ -40,11 +40,47 @@ def links_of(grid, rows, seen=None):
     return out
 
 
-def sight(limits=NONE):
-    return SimpleNamespace(limits=limits, obstacles=FREE)
+def sight(limits=NONE, **obstacles):
+    return SimpleNamespace(limits=limits, obstacles=SimpleNamespace(**vars(FREE) | obstacles))
 
 
 LEVEL = cones(((1.5, 1.5, 1.0), 0.0))  # one beam along the ground between the two layers
+
+
+def batch_of(grid, trials, **changes):
+    """Trials (n, lidars, columns) of LiDARs that all moved, and room for what becomes of them."""
+    n, lidars, _ = trials.shape
+    batch = SimpleNamespace(
+        placed=SimpleNamespace(cones=trials, limits=np.zeros((n, 0, 9)), obstacles=FREE),
+        upper_bound=np.full(n, np.inf),
+        moved=np.ones((n, lidars), bool),
+        source=np.zeros(n, np.int64),
+        certificates=np.full((n, 4), -1),
+        links=np.empty((0, lidars, grid.rows, 3), np.uint64),
+        same_position=np.zeros((n, lidars), bool),
+        clear=np.empty((0, lidars, grid.rows), np.uint64),
+        smoothing=0.0,
+    )
+    vars(batch).update(changes)
+    result = SimpleNamespace(
+        cost=np.zeros(n),
+        refuted_by=np.zeros(n, np.int64),
+        certificates=np.full((n, 4), -1),
+        links=np.empty((0, grid.rows, 3), np.uint64),
+        clear=np.empty((0, grid.rows), np.uint64),
+    )
+    return batch, result
+
+
+def evaluator_of(grid, cases=((True,),)):
+    return placement.TrialEvaluator(grid, np.array(cases), 4)
+
+
+def cost_of(grid, rows):
+    """Max VSR of LiDARs that see everything, as a trial that is evaluated in full."""
+    batch, result = batch_of(grid, rows[None])
+    evaluator_of(grid, np.ones((1, len(rows)), bool)).evaluate_batch(np.zeros(1, np.int64), 1, batch, True, result)
+    return result.cost[0]
 
 
 def test_a_level_beam_cuts_a_block_in_two():
@@ -55,16 +91,16 @@ def test_a_level_beam_cuts_a_block_in_two():
     assert cuboids.tolist() == [9, 9]
     assert internal.tolist() == [[6, 6, 0]] * 2
     assert first.tolist() == [0, 1]
-    assert placement.WorstSubspaces(grid).max_vsr(LEVEL, sight()) == 9 / 30
+    assert cost_of(grid, LEVEL) == 9 / 30
     assert placement.beam_gaps(np.array([[0, 0, 0.5], [0, 0, 1.0], [1.5, 1.5, 1.0]]), LEVEL).tolist() == [[0], [1], [1]]
 
 
 def test_nothing_is_cut_without_lidars_and_nothing_counts_where_all_is_excluded():
     whole = grid_of(np.ones((3, 2, 1), bool))
     none = np.empty((0, 6))
-    assert placement.WorstSubspaces(whole).max_vsr(none, sight()) == 6 / 22
+    assert cost_of(whole, none) == 6 / 22
     nothing = grid_of(np.zeros((3, 2, 1), bool))
-    assert placement.WorstSubspaces(nothing).max_vsr(LEVEL, sight()) == -1.0
+    assert cost_of(nothing, LEVEL) == -1.0
     label = np.empty((3, 2, 1), np.int32)
     assert [len(one) for one in placement.label_components(nothing, links_of(nothing, LEVEL), label)] == [0, 0, 0]
     assert (label == -1).all()
@@ -75,7 +111,7 @@ def test_weights_count_by_the_heaviest_cuboid():
     top = np.zeros_like(flags)
     top[0, 0, 1] = True
     grid = grid_of(flags, (4.0, 1.0), np.stack([pack(top), pack(~top)]))
-    assert placement.WorstSubspaces(grid).max_vsr(LEVEL, sight()) == 4 * 9 / 30
+    assert cost_of(grid, LEVEL) == 4 * 9 / 30
 
 
 def test_a_range_is_a_border():
@@ -113,35 +149,6 @@ def test_links_are_equal_gaps_of_neighbours(nx, ny, nz, seed):
         alike[tuple(slice(0, 1) if n == axis else slice(None) for n in range(3))] = False
         expected.append(pack(alike))
     assert np.array_equal(links_of(grid, rows), np.stack(expected, 1))
-
-
-def batch_of(grid, trials, **changes):
-    """Trials (n, lidars, columns) of LiDARs that all moved, and room for what becomes of them."""
-    n, lidars, _ = trials.shape
-    batch = SimpleNamespace(
-        placed=SimpleNamespace(cones=trials, limits=np.zeros((n, 0, 9)), obstacles=FREE),
-        upper_bound=np.full(n, np.inf),
-        moved=np.ones((n, lidars), bool),
-        source=np.zeros(n, np.int64),
-        certificates=np.full((n, 4), -1),
-        links=np.empty((0, lidars, grid.rows, 3), np.uint64),
-        same_position=np.zeros((n, lidars), bool),
-        clear=np.empty((0, lidars, grid.rows), np.uint64),
-        smoothing=0.0,
-    )
-    vars(batch).update(changes)
-    result = SimpleNamespace(
-        cost=np.zeros(n),
-        refuted_by=np.zeros(n, np.int64),
-        certificates=np.full((n, 4), -1),
-        links=np.empty((0, grid.rows, 3), np.uint64),
-        clear=np.empty((0, grid.rows), np.uint64),
-    )
-    return batch, result
-
-
-def evaluator_of(grid, cases=((True,),)):
-    return placement.TrialEvaluator(grid, np.array(cases), 4)
 
 
 def test_trials_are_evaluated_and_refuted_by_the_subspaces_of_certificates():
@@ -217,6 +224,9 @@ def test_what_does_not_fit_is_refused():
         "links: for each row": lambda: placement.label_components(grid, links_of(grid, LEVEL)[1:], np.empty((3, 3, 2), np.int32)),
         "links: not of neighbours": lambda: placement.label_components(grid, np.full((grid.rows, 3), 2**64 - 1, np.uint64), np.empty((3, 3, 2), np.int32)),
         "nine columns": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 8)))),
+        "a row for each LiDAR": lambda: placement.seen(grid, np.repeat(LEVEL, 2, 0), sight(np.zeros((1, 9)))),
+        "boxes": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 9)), boxes=np.zeros((6, 3)))),
+        "tree": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 9)), tree=None)),
         "cases: none": lambda: placement.TrialEvaluator(grid, np.empty((0, 1), bool), 4),
         "certificates: not from 1": lambda: placement.TrialEvaluator(grid, np.ones((1, 1), bool), 2**31),
         "certificates: no columns": lambda: placement.promote_certificates(np.empty((1, 0), np.int64), np.array([0]), np.array([0])),

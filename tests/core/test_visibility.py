@@ -1,6 +1,5 @@
-"""What LiDARs see, columns of cuboids and outlines: the core on small cases, and what it refuses."""
+"""Columns of cuboids and boxes of shapes: the core on small cases, and what it refuses."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,25 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidarcfg.core import visibility, world
-
-PLATE = [[4, -1, -1, 4, 1, -1, 4, 1, 1], [4, -1, -1, 4, 1, 1, 4, -1, 1]]
-ALL_AROUND = [0, math.inf, 0, 0, 0, 0, 0, 0, 0]
-
-
-class Obstacles(NamedTuple):
-    """What blocks beams."""
-
-    tree: world.Bvh
-    boxes: np.ndarray
-    origin_m: np.ndarray
-    ground_m: float
-
-
-class Sight(NamedTuple):
-    """What a LiDAR may see."""
-
-    limits: np.ndarray
-    obstacles: Obstacles
 
 
 class Span(NamedTuple):
@@ -44,20 +24,6 @@ def bvh(triangles):
     return world.Bvh(shapes, np.zeros(len(shapes), np.uint8), number, number)
 
 
-def sight(limits=ALL_AROUND, triangles=(), ground_m=math.inf):
-    """Of one LiDAR, with triangles in the way."""
-    tree = bvh(triangles)
-    return Sight(np.array([limits], float), Obstacles(tree, visibility.boxes_of(tree), np.zeros(3), ground_m))
-
-
-def seen(points, sight, start=(0.0, 0.0, 0.0)):
-    """Which points (N, 3) a LiDAR sees."""
-    out = np.empty(len(points), bool)
-    columns = np.ascontiguousarray(np.asarray(points, float).reshape(-1, 3).T)
-    visibility.see_points(columns, np.array(start), sight, out)
-    return out.tolist()
-
-
 def test_boxes_hold_all_shapes():
     assert visibility.boxes_of(bvh([])).shape == (6, 0)
     rng = np.random.default_rng(1)
@@ -68,22 +34,6 @@ def test_boxes_hold_all_shapes():
         inside = (low <= corners.min(axis=1)[:, None]) & (corners.max(axis=1)[:, None] <= high)
         assert low.shape == (16, 3)
         assert inside.all(axis=2).any(axis=1).all()
-
-
-def test_a_plate_hides_what_is_behind_it():
-    points = [[8, 0, 0], [8, 1.9, 1.9], [8, 2.1, 0], [3.9, 0, 0], [-8, 0, 0], [4, 0, 0], [0, 0, 0], [math.nan, 0, 0]]
-    assert seen(points, sight(triangles=PLATE))[:7] == [False, False, True, True, True, True, True]
-    assert seen([], sight(triangles=PLATE)) == []
-    assert seen([[8, 0, 0]], sight(triangles=[[math.nan] * 9])) == [True]
-
-
-def test_range_ground_and_field_of_view():
-    points = [[1, 0, 0], [2, 0, 0], [5, 0, 0], [6, 0, 0]]
-    assert seen(points, sight([4, 25, 0, 0, 0, 0, 0, 0, 0])) == [False, True, True, False]
-    assert seen([[3, 0, -2], [3, 0, -1], [3, 0, 2]], sight(ground_m=-1.5)) == [False, True, True]
-    around = [[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]
-    assert seen(around, sight([0, math.inf, 1, 0, 0, 0, 1, 0, 1])) == [True, False, False, False]
-    assert seen(around, sight([0, math.inf, 1, 0, 0, 0, 1, 0, 2])) == [True, True, True, False]
 
 
 @settings(max_examples=60, deadline=None)
@@ -115,40 +65,14 @@ def test_lines_of_cuboids_beside_plain_loops(seed):
     assert found.tolist() == [n in part for n in (0, 1, 2, -1)]
 
 
-def test_the_outline_of_a_square():
-    points = np.array([[2.0, 2], [-2, 2], [-2, -2], [2, -2], [math.nan, 1]])
-    out = np.zeros(8)
-    visibility.trace_outline(points, np.array([[0, 1, 2], [0, 2, 3], [0, 1, 4]]), out)
-    assert out == pytest.approx(np.where(np.arange(8) % 2, math.sqrt(8), 2.0))
-    visibility.trace_outline(points, np.empty((0, 3), np.int64), out)
-
-
-def points_with(**changes):
-    """A call of see_points with some arguments changed."""
-    given_ = {"points": np.zeros((3, 2)), "cone": np.zeros(6), "sight": sight(), "out": np.empty(2, bool)} | changes
-    return lambda: visibility.see_points(**given_)
-
-
 LABEL = np.zeros((1, 2, 3), np.int32)
 LINES = [np.zeros((1, *shape), np.int32) for shape in ((2, 3), (1, 3), (1, 2))]
-READ_ONLY = np.empty(2, bool)
-READ_ONLY.flags.writeable = False
 SPANS = [Span(one, one) for one in LINES]
 
 
 @pytest.mark.parametrize(
     ("call", "named"),
     [
-        (points_with(points=np.zeros((2, 2))), "points"),
-        (points_with(points=np.zeros((3, 2), np.float32)), "points"),
-        (points_with(points=np.zeros((2, 3)).T), "points"),
-        (points_with(cone=np.zeros(2)), "cone"),
-        (points_with(out=np.empty(3, bool)), "out"),
-        (points_with(out=READ_ONLY), "out"),
-        (points_with(sight=sight()._replace(limits=np.empty((0, 9)))), "sight.limits"),
-        (points_with(sight=sight()._replace(limits=np.empty((1, 8)))), "sight.limits"),
-        (points_with(sight=Sight(np.zeros((1, 9)), sight().obstacles._replace(boxes=np.zeros((6, 3))))), "boxes"),
-        (points_with(sight=Sight(np.zeros((1, 9)), sight().obstacles._replace(tree=None))), "tree"),
         (lambda: visibility.mark_subspaces(LABEL, np.array([[0, 2], [0, 2], [0, 3]]), np.zeros(2, bool)), "cells"),
         (lambda: visibility.mark_subspaces(LABEL, np.array([[-1, 1], [0, 2], [0, 3]]), np.zeros(2, bool)), "cells"),
         (lambda: visibility.mark_subspaces(LABEL, np.zeros((3, 3), np.int64), np.zeros(2, bool)), "cells"),
@@ -159,10 +83,6 @@ SPANS = [Span(one, one) for one in LINES]
         (lambda: visibility.count_lines(LABEL, np.array([0, -1]), LINES[1], *LINES[1:]), "x"),
         (lambda: visibility.widen_spans(LABEL, np.zeros((1, 2), np.int64), -1, *SPANS), "x"),
         (lambda: visibility.widen_spans(LABEL + 1, np.zeros((1, 1), np.int64), -1, *SPANS), "label"),
-        (lambda: visibility.trace_outline(np.zeros((3, 3)), np.zeros((1, 3), np.int64), np.zeros(8)), "points"),
-        (lambda: visibility.trace_outline(np.zeros((3, 2)), np.full((1, 3), 3), np.zeros(8)), "triangles"),
-        (lambda: visibility.trace_outline(np.zeros((3, 2)), np.full((1, 3), -1), np.zeros(8)), "triangles"),
-        (lambda: visibility.trace_outline(np.zeros((3, 2)), np.zeros((1, 3), np.int64), np.zeros(0)), "out"),
     ],
 )
 def test_what_is_refused_is_named(call, named):

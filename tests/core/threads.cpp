@@ -21,7 +21,6 @@
 #include "packets/block_decoder.h"
 #include "packets/velodyne.h"
 #include "placement/evaluator.h"
-#include "placement/worst.h"
 #include "returns/known_returns.h"
 #include "simulate/trace.h"
 #include "world/tracer.h"
@@ -264,8 +263,6 @@ void evaluate(const placement::Grid& grid, const placement::Obstacles& obstacles
       before = cost;
     }
   }
-  together<double>("max_vsr",
-                   [&](int) { return placement::WorstSubspaces(grid).max_vsr(placed.cones[0], placed.sight(0)); });
 }
 
 /// Threads share what is known of returns.

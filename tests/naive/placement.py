@@ -3,6 +3,7 @@
 Below them those of casting: triangles made ready, and what of them beams can meet.
 """
 
+import itertools
 import math
 
 OUTSIDE = -1
@@ -119,25 +120,23 @@ def detection(label, size, threshold, on_ground):
 
 def inscribed_radius(cells, edges, shape):
     """Largest sphere inside a set of cuboids, over centres on the lattice of half cuboids, by brute force."""
-    nx, ny, nz = shape
-    outside = [
-        (i, j, k)
-        for i in range(-1, nx + 1)
-        for j in range(-1, ny + 1)
-        for k in range(-1, nz + 1)
-        if (i, j, k) not in cells
-    ]
-    best = 0.0
-    for a in range(2 * nx + 1):
-        for b in range(2 * ny + 1):
-            for c in range(2 * nz + 1):
-                node = (a / 2, b / 2, c / 2)
-                nearest = math.inf
-                for cell in outside:
-                    gap = [max(cell[n] - node[n], node[n] - cell[n] - 1, 0) * edges[n] for n in range(3)]
-                    nearest = min(nearest, math.hypot(*gap))
-                best = max(best, nearest)
-    return best
+    others = outside(cells, shape)
+    nodes = itertools.product(*[[half / 2 for half in range(2 * n + 1)] for n in shape])
+    return max(distance(node, others, edges) for node in nodes)
+
+
+def outside(cells, shape):
+    """The cuboids of a grid, and one layer around it, that are not in a set."""
+    return [cell for cell in itertools.product(*[range(-1, n + 1) for n in shape]) if cell not in cells]
+
+
+def distance(node, cells, edges):
+    """From a point, in cuboids, to the nearest of some cuboids."""
+    nearest = math.inf
+    for cell in cells:
+        gap = [max(cell[n] - node[n], node[n] - cell[n] - 1, 0) * edges[n] for n in range(3)]
+        nearest = min(nearest, math.hypot(*gap))
+    return nearest
 
 
 def released_max_vsr(roi, cuboid, exclude, poses, elevation_deg):

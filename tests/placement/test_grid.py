@@ -6,14 +6,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from lidarcfg.core import placement as core
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import rotation
 from lidarcfg.placement.cones import Lidar, cone_rows, gaps_at
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import beam_gaps, check_grid, compare_labels, connect, grid_of, segment
-from lidarcfg.placement.visibility import UNLIMITED_SIGHT
+from tests.core.test_placement import cost_of
 from tests.naive import placement as naive
 
 FAN = np.arange(-15.0, 16.0, 2.0)
@@ -68,7 +67,7 @@ def check(region, lidars):
         assert np.array_equal(mine.internal, internal)
         assert np.array_equal(mine.first, first)
         assert mine.label.dtype == np.int32
-        assert core.WorstSubspaces(labels.grid).max_vsr(cone_rows(lidars), UNLIMITED_SIGHT) == vsr_m(mine).max()
+        assert cost_of(labels.grid, cone_rows(lidars)) == vsr_m(mine).max()
     else:
         with pytest.raises(ConfigError, match="everything is excluded"):
             connect(labels)

@@ -15,11 +15,11 @@ from lidarcfg.placement import return_counts as return_counts_module
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.objective import Trial
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.return_counts import MissCounter, return_counts
 from lidarcfg.placement.study import load_study
+from lidarcfg.placement.trial import Trial
 from lidarcfg.report.describe import describe_object
 from lidarcfg.report.results import evaluation_dict, to_json
 from tests.returns_cases import at_place, box, revolution, simulated, tracer_of

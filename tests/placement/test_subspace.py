@@ -8,8 +8,9 @@ from scipy import ndimage
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.metric import Spheres, extents, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.metric import extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.spheres import largest_spheres
 from lidarcfg.placement.subspace import Labels, beam_gaps, connect, grid_of, segment
 from tests.naive import placement as naive
 
@@ -42,7 +43,7 @@ def test_a_box_is_abc_over_twice_its_faces():
     c = 5 * 0.25
     assert vsr_m(box).tolist() == pytest.approx([a * b * c / (2 * (a * b + b * c + c * a))], rel=1e-14)
     assert volume_m3(box) == pytest.approx([a * b * c])
-    assert Spheres(box).largest()[0] == pytest.approx(c / 2)
+    assert largest_spheres(box).radius_m[0] == pytest.approx(c / 2)
     (extent,) = extents(box, [0])
     assert extent.centroid_m == pytest.approx([a / 2, b / 2, c / 2])
     assert extent.bounds_m[1] == pytest.approx([a, b, c])
@@ -55,7 +56,7 @@ def test_an_l_of_three_unit_cubes():
     assert len(body) == 1
     assert surface_m2(body).tolist() == [14.0]  # 3 · 6 faces less 2 · 2 joined ones
     assert vsr_m(body).tolist() == pytest.approx([3 / 14])
-    assert Spheres(body).largest()[0] == 0.5
+    assert largest_spheres(body).radius_m[0] == 0.5
 
 
 def test_boxes_that_touch_at_an_edge_are_two():
@@ -142,17 +143,6 @@ def test_components_agree_with_scipy(seed, kinds, shape):
     assert len(mine) == theirs
     for n in range(len(mine)):
         assert vsr_m(mine)[n] == pytest.approx(naive.vsr(cells(mine, n), EDGES), rel=1e-12)
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.tuples(*[st.integers(1, 4)] * 3))
-def test_inscribed_spheres_equal_brute_force(seed, shape):
-    body = bodies(np.random.default_rng(seed).integers(1, 3, shape))
-    spheres = Spheres(body)
-    numbers = sorted({0, int(body.cuboids.argmax())})
-    for number, extent in zip(numbers, extents(body, numbers), strict=True):
-        expected = naive.inscribed_radius(cells(body, number), EDGES, shape)
-        assert spheres.radius_m(number, extent) == pytest.approx(expected, rel=1e-12)
 
 
 @settings(max_examples=20, deadline=None)

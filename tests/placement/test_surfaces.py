@@ -15,11 +15,13 @@ from lidarcfg.files import shipped
 from lidarcfg.geometry import leaning, rotation, up
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plain_rigs import IN_STEPS, plain_points
+from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.viewer.bodies import base_area_m, base_discs_m
 from lidarcfg.viewer.mounting import violations
 from tests.naive import surfaces as naive
 from tests.studies import study_of
+from tests.visibility_cases import seen_cuboids
 
 SEDAN = shipped("data") / "vehicles" / "sedan.ply"
 REGION = "region: {min_m: [-6, -4, 0], max_m: [6, 4, 3], cuboid_m: [1, 0.5, 0.25]}\n"
@@ -218,9 +220,10 @@ def test_the_roof_hides_what_it_truly_hides(tmp_path):
     (lidar,) = loaded.lidars(poses[0])
     for x in (2.5, 3.0, 4.0, 5.5):
         floor_m = 2.05 - 0.05 * (x - 1)  # through the roof's front edge at x = 2
-        z = floor_m + np.array([-0.01, -1e-6, 1e-6, 0.01])
-        points = np.stack([np.full(4, x), np.zeros(4), z], axis=1)
-        assert loaded.visibility.seen_points(points, lidar).tolist() == [False, False, True, True]
+        for apart_m in (0.02, 2e-6):  # the centres of two cuboids, one upon the other
+            low, high = (x - 0.5, -0.5, floor_m - apart_m), (x + 0.5, 0.5, floor_m + apart_m)
+            two = Region.from_boxes(low, high, (1, 1, apart_m))
+            assert seen_cuboids(two, [lidar], loaded.visibility.sight([lidar])).ravel().tolist() == [False, True]
 
 
 GROUPS = st.sampled_from(

@@ -11,7 +11,7 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.metric import max_vsr, vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import BLIND, seen_cuboids, segment
+from lidarcfg.placement.subspace import BLIND, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world import solids
 from lidarcfg.world.meshes import box_mesh, lathe
@@ -22,7 +22,7 @@ from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
 from tests.refusals import exchanged, refused
 from tests.studies import study_of
-from tests.visibility_cases import GOBLET
+from tests.visibility_cases import GOBLET, seen_cuboids
 
 STUDY = """
 region: {min_m: [0, 0, 0], max_m: [10, 4, 2], cuboid_m: [0.5, 0.5, 0.5]}
@@ -94,8 +94,8 @@ def test_the_catalogues_range_counts_as_soon_as_anything_limits_sight(tmp_path):
     for more, least in (("", 0.5), ("visibility: {range: false}\n", 0.0)):
         loaded = study(tmp_path, text + "vehicle: {spheres: [{name: far, center_m: [0, 0, 90], radius_m: 1}]}\n" + more)
         rig, centres = at(loaded)
-        seen = loaded.visibility.seen_points(centres.reshape(-1, 3), rig_lidars(rig)[0])
-        distance = np.linalg.norm(centres - (1, 2, 1), axis=-1).ravel()
+        (seen,) = seen_cuboids(loaded.region, rig_lidars(rig), loaded.visibility.sight(rig_lidars(rig)))
+        distance = np.linalg.norm(centres - (1, 2, 1), axis=-1)
         assert np.array_equal(seen, distance >= least)
 
 

@@ -29,13 +29,14 @@ from lidarcfg.placement.solvers.annealing import Annealing
 from lidarcfg.placement.solvers.search import Coordinates, of_objectives
 from lidarcfg.placement.study import with_solver
 from lidarcfg.placement.study_evaluator import StudyEvaluator
-from lidarcfg.placement.subspace import seen_cuboids, segment
+from lidarcfg.placement.subspace import segment
 from lidarcfg.returns.counts import returns
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import START_NS
 from lidarcfg.world.motion import Trajectory, build_path, load_path
 from lidarcfg.world.tracer import NO_OBSTACLES, Tracer
 from lidarcfg.world.vehicle import load_vehicle
+from tests.visibility_cases import seen_cuboids
 
 fill = view.blend_triangles
 

@@ -72,10 +72,7 @@ def evaluation_of(found) -> dict[str, object]:
     for name, one in found.return_counts.items():
         keys = "worst", "mean", "probability"
         answers |= named(name, {f"returns {key}": getattr(one, key) for key in keys})
-    answers["seen by m3"] = found.blind.seen_by_m3
-    for number, one in enumerate(found.blind.contours):
-        of_contour = {"distance": one.distance_m, "edge": one.reaches_edge, "area": one.area_m2}
-        answers |= named(f"contour {number}", of_contour)
+    answers["seen by m3"] = found.seen_by_m3
     answers |= {f"zone {one.name}": one.max_vsr_m for one in found.zones}
     if found.extrapolated:
         answers |= {"extrapolated": found.extrapolated.max_vsr_m, "extrapolated error": found.extrapolated.error_m}
@@ -177,17 +174,13 @@ def _extrapolated(folder: Path) -> Answers:
 
 @case("sight")
 def _sight(folder: Path) -> Answers:
-    """Which points and cuboids each LiDAR sees, with all that limits it, and without what hides."""
+    """Which cuboids each LiDAR sees, with all that limits it, and without what hides."""
     answers: dict[str, object] = {}
     for name in LIMITED:
         one = study(name)
         lidars = package.rig_lidars(rigs(name, 1)[0])
-        low, high = one.region.min_m, one.region.max_m
-        points = low + np.random.Generator(np.random.Philox(2)).random((3000, 3)) * (high - low)
         for kind, sight in (("limited", one.visibility), ("transparent", one.visibility.transparent())):
             answers[f"{name} {kind} cuboids"] = package.seen_cuboids(one.region, lidars, sight.sight(lidars))
-            answers[f"{name} {kind} points"] = np.array([sight.seen_points(points, lidar) for lidar in lidars])
-        answers[f"{name} outline"] = one.outline_m
     return answers
 
 

@@ -10,8 +10,8 @@ from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.extrapolation import Extrapolated
-from lidarcfg.placement.metric import Spheres
 from lidarcfg.placement.report_inputs import report_inputs
+from lidarcfg.placement.spheres import largest_spheres
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.comparison import comparison, comparison_dict, comparison_table, contenders, print_comparison
 from lidarcfg.report.document import Commands
@@ -81,7 +81,7 @@ def test_each_column_is_what_evaluate_says(folder):
             "subspaces": f"{len(found.subspaces):,}",
             "volume of the worst (m³)": f"{found.worst[0].volume_m3:.2f}",
             "inner radius of the worst (m)": f"{found.worst[0].inscribed_radius_m:.3f}",
-            "largest inner radius of any (m)": f"{Spheres(found.subspaces).largest()[0]:.3f}",
+            "largest inner radius of any (m)": f"{largest_spheres(found.subspaces).radius_m.max():.3f}",
             "detection of box": f"{found.detection['box'].rate:.4f}",
             "detection of <i>&": f"{found.detection['<i>&'].rate:.4f}",
         }

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.plots import draw_rig
-from lidarcfg.report.tables import blind_lines
+from lidarcfg.report.tables import volumes_line
 from lidarcfg.report.text import summarize, truncate
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
@@ -80,7 +80,7 @@ def test_of_many_sensors_the_first_are_listed(tmp_path):
     texts = [text.get_text() for text in draw_rig(study, rig, found).axes[0].get_legend().get_texts()]
     assert texts == [*(f"s{i}" for i in range(8)), "and 4 more"]
     assert summarize(texts) == texts
-    volumes = blind_lines(found.blind)[0]
-    assert volumes.startswith(f"volume by the number of LiDARs that see it: 0: {found.blind.volume_m3:.2f} m³ (")
-    assert f", 4 or more: {found.blind.seen_by_m3[12]:.2f} m³ (" in volumes
+    volumes = volumes_line(found.seen_by_m3)
+    assert volumes.startswith(f"volume by the number of LiDARs that see it: 0: {found.seen_by_m3[0]:.2f} m³ (")
+    assert f", 4 or more: {found.seen_by_m3[12]:.2f} m³ (" in volumes
     assert ", 5: " not in volumes

@@ -209,7 +209,7 @@ vehicle:
 """
 
 
-def test_blind_spots_are_said_and_drawn(tmp_path):
+def test_what_no_sensor_sees_is_said_and_drawn(tmp_path):
     """As result.json has them; the same in a comparison, which marks the rig that sees more."""
     study = make(tmp_path, STUDY.replace("sensors:", VEHICLE + "sensors:"))
     rigs = [study.rig(study.poses(np.full((1, int(study.free.sum())), at))[0]) for at in (0.5, 0.0)]
@@ -222,12 +222,7 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
     assert result["shadow_volume_m3"] == result["seen_by_m3"][0] > 0
     for n, volume in enumerate(result["seen_by_m3"]):
         assert f"{n} {volume:,.2f} {volume / total:.2%}" in page.words
-    assert [one["height_m"] for one in result["shadow"]] == [0.25, 0.5, 1.0]
-    for one in result["shadow"]:
-        assert one["largest_m"] == max(distance for distance in one["distance_m"] if distance is not None) > 0
-        edge = "≥ " if one["reaches_edge"][int(one["largest_at_deg"])] else ""
-        assert f"{edge}{one['largest_m']:.2f} at {one['largest_at_deg']:.0f}°" in page.words
-        assert f"{one['area_m2']:.2f}" in page.words
+    assert "a map of how much is hidden above each position" in [label for _, label in page.labels]
     compared = contenders([(f"{n}", rig, one) for n, (rig, one) in enumerate(zip(rigs, shown, strict=True))])
     save_comparison(study, compared, tmp_path / "c", Commands("typed", "again"))
     page = read((tmp_path / "c/compare.html").read_text())
@@ -236,7 +231,6 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
     assert blind[0] != blind[1]
     assert values["best"]["shadow (m³)"] == ["AB"[blind.index(min(blind))]]
     assert f"shadow (m³) {blind[0]:.2f} {blind[1]:.2f}" in page.words
-    assert "the contours of the shadow of each rig" in [label for _, label in page.labels]
 
 
 def test_an_evaluation_without_objects(tmp_path):

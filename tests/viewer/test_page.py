@@ -579,7 +579,7 @@ def test_a_body_may_be_switched_transparent(chromium, cab, tmp_path):
             assert shown() == (
                 with_body.max_vsr_m,
                 pytest.approx(without.max_vsr_m, abs=1e-6),
-                pytest.approx(with_body.blind.volume_m3, abs=0.01),
+                pytest.approx(with_body.seen_by_m3[0], abs=0.01),
             )
             click(chromium, "#bodies")
             shown_seats = picture(chromium)

@@ -14,7 +14,6 @@ class Decoder;
 namespace placement {
 class Grid;
 class TrialEvaluator;
-class WorstSubspaces;
 }  // namespace placement
 
 namespace returns {
@@ -42,8 +41,6 @@ template <>
 constexpr bool is_bound<placement::Grid> = true;
 template <>
 constexpr bool is_bound<placement::TrialEvaluator> = true;
-template <>
-constexpr bool is_bound<placement::WorstSubspaces> = true;
 template <>
 constexpr bool is_bound<returns::KnownReturns> = true;
 template <>

@@ -7,7 +7,6 @@
 #include "placement/grid.h"
 #include "placement/linker.h"
 #include "placement/seen.h"
-#include "placement/worst.h"
 
 namespace lidarcfg::bind {
 
@@ -207,18 +206,6 @@ void bind_placement(nb::module_& module) {
   def(module, "links", bound_links, "Write the links of a grid by some LiDARs.", "grid", "cones", "seen", "out");
   def(module, "label_components", bound_components, "Label the connected subspaces of a grid.", "grid", "links",
       "label");
-
-  nb::class_<WorstSubspaces> worst(module, "WorstSubspaces",
-                                   "Evaluates rigs in full. Not for several threads at once.");
-  init(worst, [](const Grid& grid) { return WorstSubspaces(grid); }, "For rigs in a grid.", "grid");
-  def(
-      worst, "max_vsr",
-      [](WorstSubspaces& self, Rows<const double> cones, const Sight& sight) {
-        check_cones(cones);
-        check_sight(sight, cones.rows());
-        return self.max_vsr(cones, sight);
-      },
-      "The largest volume to surface in metres.", "cones", "sight");
 
   nb::class_<TrialEvaluator> evaluator(module, "TrialEvaluator", "Evaluates trials. Not for several threads at once.");
   init(

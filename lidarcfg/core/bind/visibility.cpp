@@ -4,7 +4,6 @@
 #include "bind/modules.h"
 #include "bind/sight.h"
 #include "placement/columns.h"
-#include "placement/outline.h"
 
 namespace lidarcfg::bind {
 
@@ -75,17 +74,6 @@ void bind_sight(nb::module_& module) {
         return Array<double, 2>{std::move(boxes), {6, columns}};
       },
       "Boxes that together hold a hierarchy's shapes.", "bvh");
-  def(
-      module, "see_points",
-      [](Rows<const double> points, View<const double> cone, const placement::Sight& sight, View<bool> out) {
-        require(points.rows() == 3, "points: three rows");
-        require(std::ssize(cone) >= 3, "cone: fewer than three numbers");
-        require(std::ssize(out) == points.columns(), "out: one for each point");
-        require(sight.limited(), "sight.limits: a row for the LiDAR");
-        check_sight(sight, 1);
-        placement::see_points(points, cone, sight, out);
-      },
-      "Which of some points a LiDAR sees.", "points", "cone", "sight", "out");
 }
 
 }  // namespace
@@ -93,19 +81,6 @@ void bind_sight(nb::module_& module) {
 void bind_visibility(nb::module_& module) {
   bind_sight(module);
   bind_columns(module);
-  def(
-      module, "trace_outline",
-      [](Rows<const double> points, Rows<const std::int64_t> triangles, View<double> out) {
-        require(points.columns() == 2, "points: two columns");
-        require(triangles.columns() == 3, "triangles: three columns");
-        require(!out.empty(), "out: no directions");
-        for (Index n = 0; n < triangles.size(); ++n) {
-          const std::int64_t vertex = triangles.data()[n];
-          require(0 <= vertex && vertex < points.rows(), "triangles: no number of a point");
-        }
-        placement::trace_outline(points, triangles, out);
-      },
-      "Raise distances to where rays from the origin cross the edges of triangles.", "points", "triangles", "out");
 }
 
 }  // namespace lidarcfg::bind

@@ -12,24 +12,17 @@ using simd::Doubles;
 constexpr Word all = ~Word{0};
 constexpr int row_size = 64;
 
-/// The bits of the first N centres of a row of which `test` is true, asked of their x.
-template <int N, class Test>
+/// The bits of the centres of a row of which `test` is true, asked of their x.
+template <class Test>
 Word select(const double* x, Test test) {
   Word word = 0;
-  if constexpr (N % simd::lanes<double> == 0) {
-    for (int n = 0; n < N; n += simd::lanes<double>) {
-      word |= Word{simd::bits(test(simd::load<Doubles>(x + n)))} << n;
-    }
-  } else {
-    for (int n = 0; n < N; ++n) {
-      word |= static_cast<Word>(test(x[n])) << n;
-    }
+  for (int n = 0; n < row_size; n += simd::lanes<double>) {
+    word |= Word{simd::bits(test(simd::load<Doubles>(x + n)))} << n;
   }
   return word;
 }
 
-/// The first N centres of a row within a LiDAR's range, and not across the ground.
-template <int N>
+/// The centres of a row within a LiDAR's range, and not across the ground.
 Word in_range(const Centres& centres, View<const double> cone, View<const double> limits, double ground_m) {
   const double least = limits[0];
   const double most = limits[1];
@@ -39,20 +32,24 @@ Word in_range(const Centres& centres, View<const double> cone, View<const double
     return 0;
   }
   const double start = centres.x[0] - cone[0];
-  const double end = centres.x[N - 1] - cone[0];
+  const double end = centres.x[row_size - 1] - cone[0];
   if (dy * dy + dz * dz >= least && (std::max(start * start, end * end) + dy * dy) + dz * dz <= most) {
     return all;  // rounding is monotonic, so the ends speak for what is between
   }
-  return select<N>(centres.x, [&](auto x) {
+  return select(centres.x, [&](auto x) {
     const auto dx = x - cone[0];
     const auto square = (dx * dx + dy * dy) + dz * dz;
     return (square >= least) & (square <= most);
   });
 }
 
-/// The first N centres of a row within a LiDAR's field of view.
-template <int N>
-Word in_field_of_view(const Centres& centres, View<const double> cone, View<const double> limits) {
+Vec3 relative(View<const double> cone, const Vec3& origin_m) {
+  return {cone[0] - origin_m[0], cone[1] - origin_m[1], cone[2] - origin_m[2]};
+}
+
+}  // namespace
+
+Word in_field(const Centres& centres, View<const double> cone, View<const double> limits) {
   const double kind = limits[8];
   if (kind == static_cast<double>(FieldOfView::any)) {
     return all;
@@ -63,19 +60,9 @@ Word in_field_of_view(const Centres& centres, View<const double> cone, View<cons
     return ((x - cone[0]) * limits[plane] + dy * limits[plane + 1]) + dz * limits[plane + 2] >= 0.0;
   };
   if (kind == static_cast<double>(FieldOfView::within)) {
-    return select<N>(centres.x, [&](auto x) { return beside(x, 2) & beside(x, 5); });
+    return select(centres.x, [&](auto x) { return beside(x, 2) & beside(x, 5); });
   }
-  return select<N>(centres.x, [&](auto x) { return beside(x, 2) | beside(x, 5); });
-}
-
-Vec3 relative(View<const double> cone, const Vec3& origin_m) {
-  return {cone[0] - origin_m[0], cone[1] - origin_m[1], cone[2] - origin_m[2]};
-}
-
-}  // namespace
-
-Word in_field(const Centres& centres, View<const double> cone, View<const double> limits) {
-  return in_field_of_view<row_size>(centres, cone, limits);
+  return select(centres.x, [&](auto x) { return beside(x, 2) | beside(x, 5); });
 }
 
 VisibilityCache::VisibilityCache(Index lidars, Index rows)
@@ -104,7 +91,7 @@ void VisibilityCache::update(Index lidar, Index row, const Centres& centres, Wor
   }
   const Obstacles& obstacles = sight.obstacles;
   const View<const double> cone = cones[lidar];
-  Word word = need & in_range<row_size>(centres, cone, sight.limits[lidar], obstacles.ground_m);
+  Word word = need & in_range(centres, cone, sight.limits[lidar], obstacles.ground_m);
   clear_[lidar * rows_ + row] |= word;
   known |= need;
   if (word != 0 && obstacles.boxes.columns() > 0) {
@@ -129,32 +116,6 @@ Word VisibilityCache::seen_of_row(Index lidar, Index row, const Centres& centres
     flush(lidar, sight);
   }
   return wanted & clear_[lidar * rows_ + row] & in_field(centres, cones[lidar], sight.limits[lidar]);
-}
-
-void see_points(Rows<const double> points, View<const double> cone, const Sight& sight, View<bool> out) {
-  const Obstacles& obstacles = sight.obstacles;
-  const Vec3& origin = obstacles.origin_m;
-  const Vec3 start = relative(cone, origin);
-  const View<const double> limits = sight.limits[0];
-  world::ShadowCaster shadows;
-  std::vector<Word> clear(points.columns());
-  shadows.start(start);
-  for (Index n = 0; n < points.columns(); ++n) {
-    const Centres point{&points(0, n), points(1, n), points(2, n), 1.0};
-    clear[n] = 1 & in_range<1>(point, cone, limits, obstacles.ground_m);
-    if (clear[n] != 0 && obstacles.boxes.columns() > 0) {
-      const world::TargetRow targets{point.x, origin[0], point.y - origin[1], point.z - origin[2], point.edge_m};
-      const Word word = 1 & world::behind_boxes(obstacles.boxes, start, targets);
-      if (word != 0) {
-        shadows.apply(*obstacles.tree, targets, word, n, clear);
-      }
-    }
-  }
-  shadows.flush(*obstacles.tree, clear);
-  for (Index n = 0; n < points.columns(); ++n) {
-    const Centres point{&points(0, n), points(1, n), points(2, n), 1.0};
-    out[n] = (clear[n] & in_field_of_view<1>(point, cone, limits) & 1) != 0;
-  }
 }
 
 }  // namespace lidarcfg::placement

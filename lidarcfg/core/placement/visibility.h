@@ -85,7 +85,4 @@ class VisibilityCache {
   world::ShadowCaster shadows_;
 };
 
-/// Write which of points (3, N) the first LiDAR of a sight sees, whose position `cone` begins with.
-void see_points(Rows<const double> points, View<const double> cone, const Sight& sight, View<bool> out);
-
 }  // namespace lidarcfg::placement

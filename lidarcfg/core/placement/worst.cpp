@@ -2,10 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "maths.h"
-#include "placement/seen.h"
 
 namespace lidarcfg::placement {
 namespace {
@@ -126,27 +124,6 @@ bool find_worst(const Grid& grid, View<const Links> links, double bound, double 
     }
   }
   return false;
-}
-
-WorstSubspaces::WorstSubspaces(const Grid& grid)
-    : grid_(grid), linker_(grid), flooder_(grid), links_(grid.links.size()) {}
-
-double WorstSubspaces::max_vsr(Rows<const double> cones, const Sight& sight) {
-  std::ranges::copy(grid_.links, links_.begin());
-  std::ranges::copy(grid_.included, flooder_.left().begin());
-  if (sight.limited()) {
-    seen_.resize(grid_.rows());
-  }
-  VisibilityCache cache(sight.limited() ? cones.rows() : 0, grid_.rows());
-  for (Index lidar = 0; lidar < cones.rows(); ++lidar) {
-    if (sight.limited()) {
-      find_seen(grid_, lidar, cones, sight, cache, seen_);
-    }
-    linker_.cut(Cones(cones[lidar]), seen_, links_);
-  }
-  WorstList worst(1);
-  find_worst(grid_, links_, std::numeric_limits<double>::infinity(), 0.0, 0, flooder_, worst);
-  return worst.values()[0];
 }
 
 }  // namespace lidarcfg::placement

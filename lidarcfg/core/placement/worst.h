@@ -4,7 +4,6 @@
 #include <vector>
 
 #include "placement/flood.h"
-#include "placement/linker.h"
 
 namespace lidarcfg::placement {
 
@@ -43,23 +42,5 @@ class WorstList {
 /// @return       whether the norm has reached the bound
 bool find_worst(const Grid& grid, View<const Links> links, double bound, double smoothing, Index first,
                 Flooder& flooder, WorstList& worst);
-
-/// The paper's cost of rigs, evaluated in full. Not for several threads at once.
-class WorstSubspaces {
- public:
-  explicit WorstSubspaces(const Grid& grid);
-
-  /// The largest volume to surface in metres (paper, eq. 10), times weights; −1 where no cuboid counts.
-  ///
-  /// @param cones  (lidars, 6 + beams), rows of `Cones`
-  double max_vsr(Rows<const double> cones, const Sight& sight);
-
- private:
-  Grid grid_;
-  Linker linker_;
-  Flooder flooder_;
-  std::vector<Links> links_;
-  std::vector<Word> seen_;
-};
 
 }  // namespace lidarcfg::placement
