@@ -8,8 +8,12 @@ The packages, each importing only those above it:
     world         scenes, vehicles, trajectories; what rays hit
     packets       the makers' packets, a folder each: encoded, decoded
     simulate      firings -> echoes -> returns
+    returns       what sensors get from an object at places: misses
+    vsr           the paper's measure: region -> cones -> labels -> subspaces -> VSR
     requirements  what a rig must see, and the verdict: PASS or FAIL
-    placement     where sensors should sit: region -> cones -> subspaces -> VSR; objectives, solvers, searches
+    solvers       they minimise over the unit cube
+    study         which sensors may sit where, what is minimised, how well a rig does
+    search        for the best rig, for the cheapest, for the sensors; sweeps
     capture       packets in files: exported, decoded, replayed
     io            from and to other tools
     report        JSON, tables, pictures, HTML pages

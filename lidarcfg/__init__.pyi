@@ -3,17 +3,17 @@ from .clouds.cloud import PointCloud as PointCloud
 from .errors import LidarcfgError as LidarcfgError
 from .io.export import export as export
 from .packets.families import pattern as pattern
-from .placement.evaluation import evaluate as evaluate
-from .placement.optimize import optimize as optimize
-from .placement.region import Region as Region
-from .placement.study import Study as Study
-from .placement.study import load_study as load_study
-from .placement.subspace import Subspaces as Subspaces
+from .search.optimize import optimize as optimize
 from .sensors.rig import Rig as Rig
 from .sensors.rig import load_rig as load_rig
 from .sensors.rig import save_rig as save_rig
 from .sensors.sensor import Sensor as Sensor
 from .sensors.sensor import load_sensor as load_sensor
+from .study.evaluation import evaluate as evaluate
+from .study.study import Study as Study
+from .study.study import load_study as load_study
+from .vsr.region import Region as Region
+from .vsr.subspaces import Subspaces as Subspaces
 from .world.scene import Scene as Scene
 from .world.scene import load_scene as load_scene
 

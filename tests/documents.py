@@ -14,14 +14,14 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.config.models import load
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.packets.velodyne.layout import PACKET
-from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.evaluator import Evaluator
-from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import StudyFile, load_study
-from lidarcfg.placement.subspace import segment
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
 from lidarcfg.sensors.sensor import load_sensor
+from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.study.study import StudyFile, load_study
+from lidarcfg.vsr.cones import rig_lidars
+from lidarcfg.vsr.metric import vsr_m
+from lidarcfg.vsr.region import Region
+from lidarcfg.vsr.subspaces import segment
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import PLY, datagrams_of, mount, room

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from mpmath.ctx_mp import MPContext
 
-from lidarcfg.placement.cones import Lidar, lidar
-from lidarcfg.placement.region import Region
+from lidarcfg.vsr.cones import Lidar, lidar
+from lidarcfg.vsr.region import Region
 
 MP = MPContext()
 MP.dps = 50

@@ -7,11 +7,11 @@ import numpy as np
 
 from lidarcfg.geometry import pose, transform
 from lidarcfg.packets.families import codec, pattern
-from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.simulator import Simulator
 from lidarcfg.units import MINUTE_NS, SECOND_NS
+from lidarcfg.vsr.cones import rig_lidars
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.scene_file import SceneFile

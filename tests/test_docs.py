@@ -21,14 +21,14 @@ import lidarcfg
 from lidarcfg.cli.main import cli
 from lidarcfg.config.models import Model, load
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.placement.plan import PlanFile
-from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.report.summaries import summary
 from lidarcfg.requirements.kinds import KINDS
 from lidarcfg.requirements.scenario_file import ScenarioFile
+from lidarcfg.search.plan import PlanFile
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.study.file import StudyFile
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene_file import SceneFile
 
@@ -48,7 +48,7 @@ COMMANDS = {
 SUBSTITUTIONS = [
     (r"--seconds [\d.]+", "--evaluations 8"),
     (r"--evaluations \d{2,}", "--evaluations 8"),
-    (r"^sweep \S+", f"sweep {ROOT / 'tests/placement/studies/plan.yaml'}"),
+    (r"^sweep \S+", f"sweep {ROOT / 'tests/search/studies/plan.yaml'}"),
     (r"^(optimize (?!.*--evaluations).*)$", r"\1 --evaluations 8"),
     (r"--duration [\d.]+", "--duration 0.1"),
     (r"--tolerance [\d.]+", "--tolerance 0.1"),

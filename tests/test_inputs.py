@@ -21,14 +21,14 @@ from lidarcfg.config.document import LARGE, Document
 from lidarcfg.config.models import load
 from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
 from lidarcfg.io.kitti import load_kitti
-from lidarcfg.placement import evaluator
-from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.evaluator import Evaluator
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import load_study
-from lidarcfg.placement.subspace import segment
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Beams
+from lidarcfg.study import evaluator
+from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.study.study import load_study
+from lidarcfg.vsr.cones import lidar
+from lidarcfg.vsr.region import Region
+from lidarcfg.vsr.subspaces import segment
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.motion import load_path
 from tests.capture_fixtures import no_warning

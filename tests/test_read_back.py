@@ -17,12 +17,12 @@ from lidarcfg.config.document import Document, document, inline, yaml_text
 from lidarcfg.config.kinds import kind_of
 from lidarcfg.config.models import load, loads, whole_values
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.combinations import combinations
-from lidarcfg.placement.plan import load_plan
-from lidarcfg.placement.study import with_solver
-from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.report.results import fingerprint
+from lidarcfg.search.combinations import combinations
+from lidarcfg.search.plan import load_plan
 from lidarcfg.sensors.rig import load_rig, save_rig
+from lidarcfg.study.file import StudyFile
+from lidarcfg.study.study import with_solver
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene_file import SceneFile
 from tests.command_line import lidarcfg, without_drawing
@@ -30,7 +30,7 @@ from tests.studies import study_of
 from tests.test_docs import PAGES, blocks, named_files
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("data/*", "docs/examples", "tests/placement/studies")
+FOLDERS = ("data/*", "docs/examples", "tests/search/studies")
 FILES = sorted(path for folder in FOLDERS for path in ROOT.glob(f"{folder}/*.yaml"))
 STUDIES = [path for path in FILES if "\n---" not in path.read_text() and kind_of(document(path).value) == "study"]
 PLANS = [path for path in FILES if "\n---" not in path.read_text() and kind_of(document(path).value) == "plan"]

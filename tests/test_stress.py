@@ -17,23 +17,23 @@ from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.packets.velodyne.layout import PACKET
-from lidarcfg.placement.cones import Lidar, gaps_at
-from lidarcfg.placement.evaluator import Evaluator
-from lidarcfg.placement.metric import max_vsr, vsr_m
-from lidarcfg.placement.objective import Criterion
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.search_run import Budget, SearchRun
-from lidarcfg.placement.solvers.bee_colony import BeeColony
-from lidarcfg.placement.solvers.search import of_objectives
-from lidarcfg.placement.study import load_study
-from lidarcfg.placement.subspace import beam_gaps, segment
+from lidarcfg.search.optimize import optimize
+from lidarcfg.search.run import Budget, SearchRun
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.solvers.bee_colony import BeeColony
+from lidarcfg.solvers.search import of_objectives
+from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.study.objective import Criterion
+from lidarcfg.study.study import load_study
+from lidarcfg.vsr.cones import Lidar, gaps_at
+from lidarcfg.vsr.metric import max_vsr, vsr_m
+from lidarcfg.vsr.region import Region
+from lidarcfg.vsr.subspaces import beam_gaps, segment
 from tests import oracle
 from tests.capture_fixtures import PLY, datagrams_of, mount, no_warning, room, scene
 from tests.packets.velodyne.shaped import decode, firings, packet_period_ns, rays
-from tests.placement.solvers.test_solvers import SOLVERS
-from tests.placement.test_grid import check
+from tests.search.solvers.test_solvers import SOLVERS
+from tests.vsr.test_grid import check
 
 ROOT = Path(__file__).parents[1]
 FAN = tuple(np.arange(-15.0, 16.0, 2.0))

@@ -9,8 +9,8 @@ import open3d as o3d
 import pytest
 from scipy.stats import spearmanr
 
-from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.study import load_study
+from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
 STUDY = """

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import compare_labels, count_set
-from lidarcfg.placement.visibility import Visibility
+from lidarcfg.vsr.cones import lidar
+from lidarcfg.vsr.region import Region
+from lidarcfg.vsr.subspaces import compare_labels, count_set
+from lidarcfg.vsr.visibility import Visibility
 from lidarcfg.world.meshes import box_mesh, join_meshes, lathe
 from lidarcfg.world.scene_file import Box
 from tests.naive import visibility as naive

@@ -25,13 +25,13 @@ import numpy as np
 from page import ROOT, machine
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.cones import Lidar
-from lidarcfg.placement.evaluator import Evaluator
-from lidarcfg.placement.metric import vsr_of_counts
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.requirements.robustness import Robust
+from lidarcfg.search.optimize import optimize
+from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.study.study import Study, load_study, with_solver
+from lidarcfg.vsr.cones import Lidar
+from lidarcfg.vsr.metric import vsr_of_counts
+from lidarcfg.vsr.region import Region
 
 SEED = 1
 RIGS = 5
@@ -132,9 +132,9 @@ def evaluations(study: Study) -> None:
 FINE_GRID = """
 import json, resource, statistics, sys, time
 import numpy as np
-from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.evaluator import Evaluator
-from lidarcfg.placement.region import Region
+from lidarcfg.vsr.cones import lidar
+from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.vsr.region import Region
 part, poses, sines = json.loads(sys.argv[1])
 region = Region.from_boxes((0, 0, 0), (60, 20, 4), np.array([1, 0.5, 0.2]) / part, (((27, 8, 0), (33, 12, 4)),))
 lidars = [lidar(row[:3], row[3:], np.array(sines)) for row in poses[0]]
@@ -170,9 +170,9 @@ SEDAN_WITH_BODY = """
 import json, statistics, sys, time
 from dataclasses import replace
 import numpy as np
-from lidarcfg.placement.evaluator import Evaluator
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.search.optimize import optimize
+from lidarcfg.study.study import load_study, with_solver
 study, cycles = load_study(sys.argv[1]), int(sys.argv[2])
 rng = np.random.default_rng(1)
 seconds = [], []
@@ -241,8 +241,8 @@ def with_one_lost(study: Study) -> None:
 
 PAPERS_RUN = """
 import json, resource, sys
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.search.optimize import optimize
+from lidarcfg.study.study import load_study, with_solver
 study = load_study(sys.argv[1])
 optimize(with_solver(study, bees=10, cycles=2))
 found = optimize(study, threads=int(sys.argv[2]))

@@ -18,17 +18,17 @@ import open3d as o3d
 from page import ROOT, machine, table
 
 from lidarcfg.geometry import rotations
-from lidarcfg.placement.cones import poses, rig_lidars
-from lidarcfg.placement.misses_search import MissesRun
-from lidarcfg.placement.optimize import optimize, search_run
-from lidarcfg.placement.search_run import Budget
-from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.returns.counts import returns
 from lidarcfg.returns.known import KnownReturns, RigAt
 from lidarcfg.returns.misses import FRESH, FRESH_PLACES, SEARCH_PLACES
 from lidarcfg.returns.scanners import PHASES, compiled, scanner
 from lidarcfg.returns.target import Target
+from lidarcfg.search.misses_search import MissesRun
+from lidarcfg.search.optimize import optimize, search_run
+from lidarcfg.search.run import Budget
 from lidarcfg.sensors.rig import load_rig, save_rig
+from lidarcfg.study.study import Study, load_study, with_solver
+from lidarcfg.vsr.cones import poses, rig_lidars
 from lidarcfg.world.meshes import read_mesh
 
 OBJECTS = ("pedestrian", "child", "cyclist", "car", "tyre")

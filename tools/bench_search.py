@@ -26,10 +26,10 @@ from page import ROOT, write_section
 
 import lidarcfg
 from lidarcfg.files import replacing
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.solvers import SOLVERS
-from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
+from lidarcfg.search.optimize import optimize
+from lidarcfg.solvers import SOLVERS
+from lidarcfg.study.study import load_study, with_solver
 
 RUNS = ROOT / "data/reference/search.jsonl"
 KNOWN = ROOT / "data/reference/best_known.json"
@@ -48,9 +48,9 @@ def code() -> str:
 
     How fast rigs are evaluated is no part of it, nor are comments and docstrings.
     """
-    placement = ROOT / "lidarcfg/placement"
+    package = ROOT / "lidarcfg"
     said = hashlib.sha256()
-    for file in (*sorted(placement.glob("solvers/*.py")), placement / "slots.py", placement / "search_run.py"):
+    for file in (*sorted(package.glob("solvers/*.py")), package / "study/slots.py", package / "search/run.py"):
         tree = ast.parse(file.read_bytes())
         for node in ast.walk(tree):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node):

@@ -19,12 +19,12 @@ from suburb_road import road
 from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import PointCloud, load_cloud
 from lidarcfg.geometry import pose, rotation, transform
-from lidarcfg.placement.cones import Lidar, gaps_at, lidar
-from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import segment
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.vsr.cones import Lidar, gaps_at, lidar
+from lidarcfg.vsr.metric import vsr_m
+from lidarcfg.vsr.region import Region
+from lidarcfg.vsr.subspaces import segment
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.scene import load_scene
 

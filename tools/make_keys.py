@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from lidarcfg.config.models import Model
-from lidarcfg.placement.solvers import SOLVERS, solver_of
-from lidarcfg.placement.solvers.solver import Solver
-from lidarcfg.placement.terms import TERMS
 from lidarcfg.requirements.kinds import KINDS
+from lidarcfg.solvers import SOLVERS, solver_of
+from lidarcfg.solvers.solver import Solver
+from lidarcfg.study.terms import TERMS
 
 DOCS = Path(__file__).parent.parent / "docs"
 END = "<!-- end -->\n"

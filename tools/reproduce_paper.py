@@ -16,13 +16,13 @@ from page import ROOT, write_section
 from rich.progress import Progress
 from scipy.stats import spearmanr
 
-from lidarcfg.placement.detection import DetectionObject, detection
-from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.search_run import Placement
-from lidarcfg.placement.study import Study, load_study, with_solver
-from lidarcfg.placement.subspace import segment
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
+from lidarcfg.search.optimize import optimize
+from lidarcfg.search.run import Placement
+from lidarcfg.study.study import Study, load_study, with_solver
+from lidarcfg.vsr.detection import DetectionObject, detection
+from lidarcfg.vsr.metric import vsr_m
+from lidarcfg.vsr.subspaces import segment
 
 REFERENCE = json.loads((ROOT / "data/reference/liu2018.json").read_text())
 BEAMS = (4, 8, 16)

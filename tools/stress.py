@@ -25,10 +25,10 @@ from page import ROOT, machine, table
 sys.path.insert(0, str(ROOT))
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.cones import gaps_at
-from lidarcfg.placement.metric import max_vsr
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import beam_gaps, segment
+from lidarcfg.vsr.cones import gaps_at
+from lidarcfg.vsr.metric import max_vsr
+from lidarcfg.vsr.region import Region
+from lidarcfg.vsr.subspaces import beam_gaps, segment
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.tracer import Tracer
 from tests import documents, ray_cases, visibility_cases

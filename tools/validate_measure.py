@@ -27,17 +27,17 @@ from lidarcfg import core
 from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.geometry import Array, rotation
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.detection import DetectionObject, detection_by_distance, from_point
-from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.study import Study, load_study, with_solver
-from lidarcfg.placement.subspace import Subspaces, segment
-from lidarcfg.placement.visibility import fraction_below
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.returns.scanners import Poses, Scanner, compiled
 from lidarcfg.returns.target import Target
+from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.study import Study, load_study, with_solver
+from lidarcfg.vsr.cones import rig_lidars
+from lidarcfg.vsr.detection import DetectionObject, detection_by_distance, from_point
+from lidarcfg.vsr.metric import vsr_m
+from lidarcfg.vsr.subspaces import Subspaces, segment
+from lidarcfg.vsr.visibility import fraction_below
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.tracer import NO_OBSTACLES
 

@@ -22,10 +22,10 @@ from page import ROOT, machine, table, write_section
 from scipy.stats import spearmanr
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.plain_rigs import plain_points
-from lidarcfg.placement.study import Study, load_study
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
+from lidarcfg.search.plain_rigs import plain_points
 from lidarcfg.sensors.rig import Rig, save_rig
+from lidarcfg.study.study import Study, load_study
 
 PAGE = ROOT / "docs/evidence/validation.md"
 PLOT = PAGE.parent / "validation/learned-judge.png"

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 import lidarcfg
-from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.report import Commands, save_comparison
 from lidarcfg.report.comparison import contenders
+from lidarcfg.report.inputs import report_inputs
 
 # %% Two rigs in one study
 # Two sensors on the roof; and the study's four, each at the midpoint of its bounds.

@@ -7,7 +7,7 @@ Run it from the project's folder, cell by cell in an editor that knows `# %%`, o
 from pathlib import Path
 
 import lidarcfg
-from lidarcfg.placement.study import with_solver
+from lidarcfg.study.study import with_solver
 
 # %% A study says which sensors may sit where
 # Four VLP-16 on a saloon car: two on the roof, one in each bumper, each free within bounds. What is not free to move

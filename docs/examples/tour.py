@@ -9,7 +9,7 @@ import numpy as np
 
 import lidarcfg
 from lidarcfg.geometry import pose
-from lidarcfg.placement.study import with_solver
+from lidarcfg.study.study import with_solver
 from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.still import save_still
 

@@ -34,9 +34,6 @@ def compare(
     Compares max VSR, the worst subspaces, detection and coverage, and marks the best of each row. The study's bounds
     on the poses are not enforced.
     """
-    from lidarcfg.placement.evaluation import evaluate as evaluation
-    from lidarcfg.placement.report_inputs import report_inputs
-    from lidarcfg.placement.study import load_study
     from lidarcfg.report.comparison import (
         COMPARED,
         check_count,
@@ -46,8 +43,11 @@ def compare(
         save_comparison,
     )
     from lidarcfg.report.document import Commands
+    from lidarcfg.report.inputs import report_inputs
     from lidarcfg.report.results import check_writable, to_json
     from lidarcfg.sensors.rig import load_rig
+    from lidarcfg.study.evaluation import evaluate as evaluation
+    from lidarcfg.study.study import load_study
 
     check_count(len(rigs))
     loaded = load_study(study)

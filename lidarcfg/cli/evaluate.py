@@ -12,9 +12,9 @@ from lidarcfg.cli.options import FILE, command_line, json_option, quiet_option, 
 from lidarcfg.cli.progress import progress
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.study import Study
     from lidarcfg.report.document import Baseline
     from lidarcfg.sensors.rig import Rig
+    from lidarcfg.study.study import Study
 
 baseline_option = cloup.option("--baseline", type=FILE, metavar="RIG", help="Compare the result with this rig.")
 OnProgress = Callable[[float, str], None]
@@ -50,12 +50,9 @@ def evaluate(
     """
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
-        from lidarcfg.placement.evaluation import evaluate as evaluation
-        from lidarcfg.placement.evaluation import robustness
-        from lidarcfg.placement.report_inputs import report_inputs
-        from lidarcfg.placement.study import load_study
         from lidarcfg.report.comparison import print_comparison, with_baseline
         from lidarcfg.report.document import Commands
+        from lidarcfg.report.inputs import report_inputs
         from lidarcfg.report.results import (
             EVALUATED,
             baseline_dict,
@@ -66,6 +63,9 @@ def evaluate(
         )
         from lidarcfg.report.tables import print_evaluation
         from lidarcfg.sensors.rig import load_rig
+        from lidarcfg.study.evaluation import evaluate as evaluation
+        from lidarcfg.study.evaluation import robustness
+        from lidarcfg.study.study import load_study
 
         loaded = load_study(study)
         mounted = load_rig(rig)
@@ -94,10 +94,10 @@ def evaluate(
 
 def baseline_of(study: "Study", path: Path | None, on_progress: OnProgress) -> "Baseline | None":
     """The rig to compare with, evaluated. Raises ConfigError if it cannot be evaluated in the study."""
-    from lidarcfg.placement.evaluation import evaluate as evaluation
-    from lidarcfg.placement.report_inputs import report_inputs
     from lidarcfg.report.document import Baseline
+    from lidarcfg.report.inputs import report_inputs
     from lidarcfg.sensors.rig import load_rig
+    from lidarcfg.study.evaluation import evaluate as evaluation
 
     if path is None:
         return None
@@ -109,7 +109,7 @@ def baseline_of(study: "Study", path: Path | None, on_progress: OnProgress) -> "
 
 def check_rig(study: "Study", path: Path, rig: "Rig") -> None:
     """Print what looks wrong with a rig. Raises ConfigError if it cannot be evaluated in a study."""
-    from lidarcfg.placement.checks import rig_warnings
+    from lidarcfg.study.checks import rig_warnings
     from lidarcfg.world.vehicle import check_outside
 
     for message in rig_warnings(path, study.requirements.site.ground_m if study.requirements else 0.0):

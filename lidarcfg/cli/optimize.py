@@ -22,16 +22,16 @@ from lidarcfg.cli.options import (
 )
 from lidarcfg.cli.progress import Interrupts, duration, progress
 from lidarcfg.cli.verify import NOT_MET
-from lidarcfg.placement.solvers import GONE, SOLVERS
+from lidarcfg.solvers import GONE, SOLVERS
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.cheapest import CheapestRun
-    from lidarcfg.placement.front import FrontRun, Point
-    from lidarcfg.placement.report_inputs import ReportInputs
-    from lidarcfg.placement.search_run import Cycle, Log, Placement
-    from lidarcfg.placement.solvers.solver import Solver
-    from lidarcfg.placement.study import Study
+    from lidarcfg.report.inputs import ReportInputs
+    from lidarcfg.search.cheapest import CheapestRun
+    from lidarcfg.search.front import FrontRun, Point
+    from lidarcfg.search.run import Cycle, Log, Placement
     from lidarcfg.sensors.rig import Rig
+    from lidarcfg.solvers.solver import Solver
+    from lidarcfg.study.study import Study
 
 QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
 
@@ -128,13 +128,13 @@ def optimize(
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
-        from lidarcfg.placement.achievable import unachievable
-        from lidarcfg.placement.checks import study_warnings
-        from lidarcfg.placement.study import load_study, with_solver
         from lidarcfg.report.comparison import print_comparison, with_baseline
         from lidarcfg.report.document import Commands
         from lidarcfg.report.results import RESULTS, check_writable, load_log, save_placement
         from lidarcfg.report.tables import print_placement
+        from lidarcfg.search.achievable import unachievable
+        from lidarcfg.study.checks import study_warnings
+        from lidarcfg.study.study import load_study, with_solver
 
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
@@ -193,10 +193,10 @@ def _search(
     """The best rig, with progress; what is found so far is saved every few seconds."""
     import time
 
-    from lidarcfg.placement.optimize import optimize as search
-    from lidarcfg.placement.report_inputs import report_inputs
-    from lidarcfg.placement.search_run import Budget
+    from lidarcfg.report.inputs import report_inputs
     from lidarcfg.report.results import save_progress
+    from lidarcfg.search.optimize import optimize as search
+    from lidarcfg.search.run import Budget
 
     saved_s = time.monotonic()
     shown_s = saved_s
@@ -283,9 +283,6 @@ def _find_cheapest(
     """
     import time
 
-    from lidarcfg.placement.cheapest import cheapest
-    from lidarcfg.placement.report_inputs import report_inputs
-    from lidarcfg.placement.workers import Cluster
     from lidarcfg.report.cheapest import (
         COMBINATIONS,
         choice_part,
@@ -296,8 +293,11 @@ def _find_cheapest(
         save_combinations,
     )
     from lidarcfg.report.document import Commands
+    from lidarcfg.report.inputs import report_inputs
     from lidarcfg.report.results import RESULTS, check_writable, save_placement
     from lidarcfg.report.tables import print_placement
+    from lidarcfg.search.cheapest import cheapest
+    from lidarcfg.search.workers import Cluster
 
     log = load_cheapest_log(study, resume) if resume else None
     check_writable(folder, (*RESULTS, COMBINATIONS))
@@ -360,11 +360,11 @@ def _find_front(
     """Search the study read from `path`, write the folder, print the table. Exits with 130 after Ctrl-C."""
     import time
 
-    from lidarcfg.placement.combinations import combinations
-    from lidarcfg.placement.front import front
     from lidarcfg.report.document import Commands
     from lidarcfg.report.front import load_front_logs, print_front, save_front, save_front_log
     from lidarcfg.report.results import FRONT, check_writable
+    from lidarcfg.search.combinations import combinations
+    from lidarcfg.search.front import front
 
     logs = load_front_logs(study, resume, len(combinations(study))) if resume else []
     check_writable(folder, FRONT)

@@ -12,10 +12,10 @@ from lidarcfg.config.models import Model
 from lidarcfg.packets.families import FAMILIES, family
 
 KINDS = {  # module and model of each kind of file, loaded when they are needed
-    "study": "lidarcfg.placement.study_file:StudyFile",
+    "study": "lidarcfg.study.file:StudyFile",
     "requirements": "lidarcfg.requirements.file:RequirementsFile",
     "scenario": "lidarcfg.requirements.scenario_file:ScenarioFile",
-    "plan": "lidarcfg.placement.plan:PlanFile",
+    "plan": "lidarcfg.search.plan:PlanFile",
     "rig": "lidarcfg.sensors.rig:RigFile",
     "scene": "lidarcfg.world.scene_file:SceneFile",
     "sensor": "lidarcfg.sensors.sensor:Sensor",

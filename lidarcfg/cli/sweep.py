@@ -15,10 +15,10 @@ from lidarcfg.cli.progress import duration, progress
 from lidarcfg.errors import ConfigError
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.plan import Plan, SweepCase
-    from lidarcfg.placement.sweep import RunResult
-    from lidarcfg.placement.workers import Workers
     from lidarcfg.report.sweep import SweepFolder
+    from lidarcfg.search.plan import Plan, SweepCase
+    from lidarcfg.search.sweep import RunResult
+    from lidarcfg.search.workers import Workers
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class WorkerOptions:
 
     def workers(self) -> "Workers":
         """Start local ones, or connect to a cluster's. Raises ConfigError."""
-        from lidarcfg.placement.workers import Cluster, Processes
+        from lidarcfg.search.workers import Cluster, Processes
 
         return Cluster(self.scheduler) if self.scheduler else Processes(self.processes)
 
@@ -61,8 +61,8 @@ def sweep(
     Writes a table with one row per run, a plot, and the rig of each run. If the command is interrupted, run it again:
     it does only the missing runs. The result depends neither on the number of workers nor on where they run.
     """
-    from lidarcfg.placement.plan import load_plan
     from lidarcfg.report.sweep import SweepFolder
+    from lidarcfg.search.plan import load_plan
 
     if scheduler and workers:
         raise click.UsageError("--workers are local; a cluster has as many as its scheduler knows")
@@ -101,7 +101,7 @@ def _run_missing(
     plan: "Plan", runs: list["SweepCase"], kept: "SweepFolder", options: WorkerOptions, quiet: bool
 ) -> int:
     """Do the missing runs and save their results; returns how many found no rig."""
-    from lidarcfg.placement.sweep import sweep
+    from lidarcfg.search.sweep import sweep
 
     failed = 0
     finished = len(plan.runs) - len(runs)
@@ -129,7 +129,7 @@ def _run_missing(
 
 def _estimate(plan: "Plan", runs: list["SweepCase"], options: WorkerOptions, quiet: bool) -> None:
     """Print an estimate of how long some runs of a plan take."""
-    from lidarcfg.placement.sweep import Pace, pace, size
+    from lidarcfg.search.sweep import Pace, pace, size
 
     workers = options.workers()
     count = workers.count

@@ -48,13 +48,13 @@ def verify(
         on_progress(0.0, f"reading {study}")
         from lidarcfg.errors import ConfigError
         from lidarcfg.files import replacing
-        from lidarcfg.placement.checks import requirement_warnings
-        from lidarcfg.placement.study import load_study
         from lidarcfg.report.results import VERIFIED, check_writable, save_verdict, to_json
         from lidarcfg.report.verdict import junit as junit_text
         from lidarcfg.report.verdict import print_verdict, verdict_dict
         from lidarcfg.requirements.verify import Verifier
         from lidarcfg.sensors.rig import load_rig
+        from lidarcfg.study.checks import requirement_warnings
+        from lidarcfg.study.study import load_study
 
         loaded = load_study(study)
         if loaded.requirements is None:

@@ -1,8 +1,8 @@
-"""Reports: results as JSON, tables, pictures and HTML pages. `lidarcfg.placement` computes, this package shows.
+"""Reports: results as JSON, tables, pictures and HTML pages. What the packages below compute, this one shows.
 
-To read in this order: `text` shortens names, `describe` puts a study and a rig into words, `table` is the model of all
-tables, which `terminal` prints and `html` puts on pages, and `evaluation` has those of an evaluated rig.
-`canvas` has the style of drawings; `plots` (PNG), `mounts`, `drawings`, `blind_spots` draw a part each;
+To read in this order: `inputs` computes what only a report needs, `text` shortens names, `describe` puts a study and a
+rig into words, `table` is the model of all tables, which `terminal` prints and `html` puts on pages, and `evaluation`
+has those of an evaluated rig. `canvas` has the style of drawings; `plots` (PNG), `mounts`, `drawings`, `blind_spots` draw a part each;
 `misses` is what a report begins with: what rigs miss, side by side.
 `document` is the report of one rig, `comparison` of several, `front` of price against objective, `cheapest` of the
 combinations searched for the cheapest rig. `results` writes the folder of a search, `sweep` that of many. A verdict on

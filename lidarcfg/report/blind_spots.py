@@ -7,7 +7,6 @@ import numpy as np
 from markupsafe import Markup
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.subspace import Subspaces
 from lidarcfg.report.canvas import (
     EXCLUDED,
     LABELS_IN,
@@ -26,6 +25,7 @@ from lidarcfg.report.table import Cell, Column, Table
 from lidarcfg.requirements.post_visibility import AZIMUTHS, WIDTH_M, PostVisibility
 from lidarcfg.requirements.post_visibility import STEP_M as POST_STEP_M
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.vsr.subspaces import Subspaces
 from lidarcfg.world.footprint import Footprint
 
 if TYPE_CHECKING:

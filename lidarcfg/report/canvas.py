@@ -11,10 +11,10 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.region import Region
 from lidarcfg.report.plots import COLOURS, new_figure
 from lidarcfg.report.text import DRAWN, printable, truncate
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.vsr.region import Region
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,15 +12,15 @@ from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.geometry import Array
-from lidarcfg.placement.cheapest import Cheapest, CheapestLog, Effort, SearchedCombination
-from lidarcfg.placement.search_run import Check, Log
-from lidarcfg.placement.study import Study
 from lidarcfg.report.describe import counted, price
 from lidarcfg.report.document import ChoicePart
 from lidarcfg.report.results import FRONT, RESULTS, fingerprint
 from lidarcfg.report.table import COUNT, NOTHING, PRICE, Cell, Column, Table, named
 from lidarcfg.report.terminal import print_table, terminal
 from lidarcfg.report.text import truncate
+from lidarcfg.search.cheapest import Cheapest, CheapestLog, Effort, SearchedCombination
+from lidarcfg.search.run import Check, Log
+from lidarcfg.study.study import Study
 
 COMBINATIONS = "combinations.csv"
 SHOWN = 20  # combinations on the terminal and in the report

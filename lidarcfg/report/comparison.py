@@ -12,9 +12,6 @@ from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.report_inputs import ReportInputs
-from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.describe import (
     beams,
@@ -30,6 +27,7 @@ from lidarcfg.report.describe import (
 from lidarcfg.report.document import Baseline, Commands
 from lidarcfg.report.evaluation import FAR, mounts_table
 from lidarcfg.report.html import KeyFigure, render
+from lidarcfg.report.inputs import ReportInputs
 from lidarcfg.report.misses import describe_interval, percent
 from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.report.table import COUNT, Cell, Column, Row, Table, as_written, named
@@ -37,6 +35,8 @@ from lidarcfg.report.terminal import print_table
 from lidarcfg.report.text import DRAWN, HEAD, truncate
 from lidarcfg.report.verdict import FAIL, PASS, signed
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.evaluation import Evaluation
+from lidarcfg.study.study import Study
 
 RIGS_MAX = 10
 COMPARED = ("compare.json", "compare.html")  # the files of a comparison

@@ -9,15 +9,15 @@ from importlib import metadata
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.detection import Detection, DetectionObject, GapFit, Returns
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
-from lidarcfg.placement.study import Study
-from lidarcfg.placement.terms import TERMS
-from lidarcfg.placement.terms.misses import describe_misses
 from lidarcfg.report.table import PRICE, written
 from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.return_counts import HEADINGS_DEG, STEP_M
+from lidarcfg.study.study import Study
+from lidarcfg.study.terms import TERMS
+from lidarcfg.study.terms.misses import describe_misses
+from lidarcfg.vsr.detection import Detection, DetectionObject, GapFit, Returns
+from lidarcfg.vsr.region import Region
 
 PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")
 

@@ -7,12 +7,6 @@ import numpy as np
 
 from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
-from lidarcfg.placement.evaluation import Evaluation, Worst
-from lidarcfg.placement.extrapolation import Extrapolated
-from lidarcfg.placement.report_inputs import ReportInputs
-from lidarcfg.placement.search_run import Believed, Placement, at_bounds
-from lidarcfg.placement.study import Study
-from lidarcfg.placement.subspace import BLIND
 from lidarcfg.report import drawings
 from lidarcfg.report.blind_spots import (
     draw_posts_by_height,
@@ -53,6 +47,7 @@ from lidarcfg.report.evaluation import (
     zones_table,
 )
 from lidarcfg.report.html import KeyFigure, render, with_baseline_figures
+from lidarcfg.report.inputs import ReportInputs
 from lidarcfg.report.misses import (
     SeenBy,
     compared_with,
@@ -68,7 +63,12 @@ from lidarcfg.report.mounts import draw_mounts, draw_surfaces
 from lidarcfg.report.table import Table, with_baseline
 from lidarcfg.report.text import truncate
 from lidarcfg.report.verification import verdict_part
+from lidarcfg.search.run import Believed, Placement, at_bounds
 from lidarcfg.sensors.rig import Rig, rig_to_dict
+from lidarcfg.study.evaluation import Evaluation, Worst
+from lidarcfg.study.study import Study
+from lidarcfg.vsr.extrapolation import Extrapolated
+from lidarcfg.vsr.subspaces import BLIND
 
 FactRows = list[tuple[str, object]]
 

@@ -8,12 +8,6 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from lidarcfg.placement.detection import Rings
-from lidarcfg.placement.evaluation import Evaluation, Robustness
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.report_inputs import Coverage, DetectionMap, ReportInputs
-from lidarcfg.placement.search_run import Placement
-from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import (
     BAR_IN,
     EXCLUDED,
@@ -39,8 +33,14 @@ from lidarcfg.report.canvas import (
     shade_excluded,
     thinned,
 )
+from lidarcfg.report.inputs import Coverage, DetectionMap, ReportInputs
 from lidarcfg.report.plots import search_view
+from lidarcfg.search.run import Placement
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.evaluation import Evaluation, Robustness
+from lidarcfg.study.study import Study
+from lidarcfg.vsr.detection import Rings
+from lidarcfg.vsr.region import Region
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

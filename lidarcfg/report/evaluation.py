@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.detection import Rings
-from lidarcfg.placement.evaluation import OFFSETS, STEP_DEG, STEP_M, DegradedRig, Evaluation, Robustness, Worst
-from lidarcfg.placement.report_inputs import ReportInputs
-from lidarcfg.placement.study import Study
-from lidarcfg.placement.study_file import COORDINATES
-from lidarcfg.placement.subspace import BLIND
-from lidarcfg.placement.zones import ZoneVsr
 from lidarcfg.report.describe import describe_object, describe_places, describe_returns
+from lidarcfg.report.inputs import ReportInputs
 from lidarcfg.report.table import COUNT, Cell, Column, Row, Table, named
 from lidarcfg.report.text import summarize
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.evaluation import OFFSETS, STEP_DEG, STEP_M, DegradedRig, Evaluation, Robustness, Worst
+from lidarcfg.study.file import COORDINATES
+from lidarcfg.study.study import Study
+from lidarcfg.vsr.cones import rig_lidars
+from lidarcfg.vsr.detection import Rings
+from lidarcfg.vsr.subspaces import BLIND
+from lidarcfg.vsr.zones import ZoneVsr
 
 WHOLE = "none"
 UNITS = f"{100 * STEP_M:g} cm", f"{STEP_DEG:g}°"

@@ -18,14 +18,11 @@ from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.geometry import Array
-from lidarcfg.placement.front import Candidate, Front, Point
-from lidarcfg.placement.report_inputs import report_inputs
-from lidarcfg.placement.search_run import Log
-from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
 from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price, versions
 from lidarcfg.report.document import Commands
 from lidarcfg.report.html import KeyFigure, render
+from lidarcfg.report.inputs import report_inputs
 from lidarcfg.report.plots import CUT_OFF, new_figure, save_figure
 from lidarcfg.report.results import (
     FRONT,
@@ -40,6 +37,9 @@ from lidarcfg.report.results import (
 from lidarcfg.report.table import COUNT, PRICE, Cell, Column, Row, Table, named
 from lidarcfg.report.terminal import print_table, terminal
 from lidarcfg.report.text import DRAWN, truncate
+from lidarcfg.search.front import Candidate, Front, Point
+from lidarcfg.search.run import Log
+from lidarcfg.study.study import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.search_run import Believed, Placement
-from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import BAR_IN, LABELS_IN, TITLE_IN, WIDTH_IN, drawing, label, sensor_dots
 from lidarcfg.report.evidence import draw_body, finish_map
 from lidarcfg.report.table import Cell, Column, Row, Table
 from lidarcfg.report.text import truncate
 from lidarcfg.returns.missed_map import missed_map
 from lidarcfg.returns.misses import Z_95, Interval, MissesFound, ObjectMisses
+from lidarcfg.search.run import Believed, Placement
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.evaluation import Evaluation
+from lidarcfg.study.study import Study
 from lidarcfg.world.footprint import Footprint
 
 if TYPE_CHECKING:

@@ -7,9 +7,6 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.study import Study
-from lidarcfg.placement.surfaces import Surface
 from lidarcfg.report.canvas import (
     LABELS_IN,
     VIEWS,
@@ -26,6 +23,9 @@ from lidarcfg.report.canvas import (
     shade_excluded,
 )
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.study import Study
+from lidarcfg.study.surfaces import Surface
+from lidarcfg.vsr.cones import rig_lidars
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

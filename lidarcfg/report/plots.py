@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from lidarcfg.placement.evaluation import Evaluation
-    from lidarcfg.placement.search_run import Placement
-    from lidarcfg.placement.study import Study
+    from lidarcfg.search.run import Placement
+    from lidarcfg.study.evaluation import Evaluation
+    from lidarcfg.study.study import Study
 
 # Okabe and Ito's colours, which colour-blind people can tell apart
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
@@ -139,7 +139,7 @@ def _draw_body(axes: "Axes", study: "Study", across: int, up: int) -> None:
 
 
 def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -> None:
-    from lidarcfg.placement.cones import rig_lidars  # here, so that a list of sensors does not load the tracer
+    from lidarcfg.vsr.cones import rig_lidars  # here, so that a list of sensors does not load the tracer
 
     for i, cones in enumerate(rig_lidars(rig)):
         colour = COLOURS[i % len(COLOURS)]

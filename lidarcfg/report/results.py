@@ -17,21 +17,21 @@ from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.geometry import Array
-from lidarcfg.placement.detection import DetectionObject
-from lidarcfg.placement.evaluation import OFFSETS, STEP_DEG, STEP_M, Evaluation, Robustness
-from lidarcfg.placement.report_inputs import ReportInputs
-from lidarcfg.placement.return_counts import STEP_M as STEP_M_OF_RETURNS
-from lidarcfg.placement.search_run import Believed, Check, Log, Placement
-from lidarcfg.placement.solvers.solver import BUDGETS
-from lidarcfg.placement.study import Study
-from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.document import Baseline, ChoicePart, Commands, report
+from lidarcfg.report.inputs import ReportInputs
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.report.verification import verdict_page
 from lidarcfg.requirements.post_visibility import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verification
+from lidarcfg.search.run import Believed, Check, Log, Placement
 from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
+from lidarcfg.solvers.solver import BUDGETS
+from lidarcfg.study.evaluation import OFFSETS, STEP_DEG, STEP_M, Evaluation, Robustness
+from lidarcfg.study.file import COORDINATES
+from lidarcfg.study.return_counts import STEP_M as STEP_M_OF_RETURNS
+from lidarcfg.study.study import Study
+from lidarcfg.vsr.detection import DetectionObject
 
 
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:

@@ -11,16 +11,16 @@ from lidarcfg.config.models import load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.packets.families import codec
-from lidarcfg.placement.checks import rig_warnings, study_warnings
-from lidarcfg.placement.combinations import combinations
-from lidarcfg.placement.plan import load_plan
-from lidarcfg.placement.solvers.solver import BUDGETS
-from lidarcfg.placement.study import load_study
 from lidarcfg.report.describe import counted
 from lidarcfg.requirements.file import load_requirements
 from lidarcfg.requirements.scenario_file import scenario_in
+from lidarcfg.search.combinations import combinations
+from lidarcfg.search.plan import load_plan
 from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
+from lidarcfg.solvers.solver import BUDGETS
+from lidarcfg.study.checks import rig_warnings, study_warnings
+from lidarcfg.study.study import load_study
 from lidarcfg.world.motion import load_path
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_vehicle

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.placement.plan import Plan, SweepCase, shown, versions
-from lidarcfg.placement.sweep import RunResult
 from lidarcfg.report.canvas import dashes, label
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.report.results import check_writable, to_json
+from lidarcfg.search.plan import Plan, SweepCase, shown, versions
+from lidarcfg.search.sweep import RunResult
 from lidarcfg.sensors.rig import save_rig
 
 if TYPE_CHECKING:

@@ -3,16 +3,16 @@
 from rich.console import Console
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.extrapolation import Extrapolated
-from lidarcfg.placement.search_run import Placement
-from lidarcfg.placement.study import Study
 from lidarcfg.report.describe import beams_alone, describe_places, describe_returns, has_cones
 from lidarcfg.report.evaluation import mounts_table, robust_lines, worst_table, zones_table
 from lidarcfg.report.terminal import print_facts, print_table, terminal
 from lidarcfg.report.text import MANY, truncate
 from lidarcfg.report.verdict import print_verdict
+from lidarcfg.search.run import Placement
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.evaluation import Evaluation
+from lidarcfg.study.study import Study
+from lidarcfg.vsr.extrapolation import Extrapolated
 
 FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
 

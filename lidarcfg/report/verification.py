@@ -7,8 +7,6 @@ from markupsafe import Markup
 
 from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
-from lidarcfg.placement.study import Study
-from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.describe import date, describe_rig, versions
 from lidarcfg.report.evaluation import mounts_table
 from lidarcfg.report.evidence import draw_frames, draw_map, draw_views, map_caption
@@ -32,6 +30,8 @@ from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verification
 from lidarcfg.sensors.rig import Rig, rig_to_dict
+from lidarcfg.study.file import COORDINATES
+from lidarcfg.study.study import Study
 
 
 @dataclass(frozen=True)

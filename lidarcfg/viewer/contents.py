@@ -20,8 +20,8 @@ from lidarcfg.config.models import load_keys
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, inverse
-from lidarcfg.placement.study import Study, load_study
 from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.study.study import Study, load_study
 from lidarcfg.units import SECOND_NS
 from lidarcfg.viewer.rig_source import RigSource
 from lidarcfg.world.motion import Trajectory

@@ -5,13 +5,11 @@ from typing import Any
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.evaluation import detection_rates
-from lidarcfg.placement.study import Study
-from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.report.verdict import conclusion, demanded, quantity, signed, worst_place
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.evaluation import detection_rates
+from lidarcfg.study.study import Study
 from lidarcfg.viewer.bodies import (
     base_discs_m,
     has_obstacles,
@@ -22,6 +20,8 @@ from lidarcfg.viewer.bodies import (
     visibility_of,
 )
 from lidarcfg.viewer.mounting import violations
+from lidarcfg.vsr.cones import rig_lidars
+from lidarcfg.vsr.subspaces import Subspaces, segment
 
 
 def evaluation(study: Study, rig: Rig, worst: int, transparent: bool = False) -> dict[str, Any]:

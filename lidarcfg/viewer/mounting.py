@@ -6,10 +6,10 @@ from itertools import combinations
 import numpy as np
 
 from lidarcfg.geometry import Array, leaning, rotation, up
-from lidarcfg.placement.study import Study
-from lidarcfg.placement.study_file import COORDINATES
-from lidarcfg.placement.surfaces import Surface, mirrored, violation
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.file import COORDINATES
+from lidarcfg.study.study import Study
+from lidarcfg.study.surfaces import Surface, mirrored, violation
 
 TOLERANCE = 1e-9  # metres and radians
 STEPS = 64  # of a move, and again of the step in which a base no longer fits: where it stops is known to 1/4096

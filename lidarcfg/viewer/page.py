@@ -14,11 +14,11 @@ from lidarcfg import __version__
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
-from lidarcfg.placement.evaluation import WORST
-from lidarcfg.placement.study import Study
 from lidarcfg.report.misses import COLOURS as MISSED
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.study.evaluation import WORST
+from lidarcfg.study.study import Study
 from lidarcfg.viewer import colours
 from lidarcfg.viewer.bodies import base_area_m, faces, packed_mesh, packed_quads
 from lidarcfg.viewer.camera import Camera

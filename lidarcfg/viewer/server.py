@@ -15,9 +15,9 @@ from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError, LidarcfgError, reason
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import out_of_memory
-from lidarcfg.placement.evaluation import WORST
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig, rig_text
+from lidarcfg.study.evaluation import WORST
 from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.evaluation import evaluation, rates, verdict, with_poses
 from lidarcfg.viewer.missed import MissCounter

@@ -20,13 +20,13 @@ from lidarcfg.config.document import Document
 from lidarcfg.config.kinds import kind_of
 from lidarcfg.errors import ConfigError, SceneError
 from lidarcfg.files import shipped
-from lidarcfg.placement.checks import rig_warnings, study_warnings
-from lidarcfg.placement.combinations import combinations
-from lidarcfg.placement.region import RegionFile, _sizes
-from lidarcfg.placement.study import load_study
 from lidarcfg.report.summaries import summary
+from lidarcfg.search.combinations import combinations
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.sensors.sensor import load_sensor
+from lidarcfg.study.checks import rig_warnings, study_warnings
+from lidarcfg.study.study import load_study
+from lidarcfg.vsr.region import RegionFile, _sizes
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.scene import load_scene
 from tests.command_line import lidarcfg
@@ -337,7 +337,7 @@ def test_a_slow_objective_is_said_with_what_it_costs(tmp_path, monkeypatch):
     """By a clock that the test turns: it has no way to make one slow for certain."""
     path = study(tmp_path, constraints="objective: {inscribed_radius: 1}")
     ticks = iter([0, 0.001, 20, 21])
-    monkeypatch.setattr("lidarcfg.placement.checks.time", SimpleNamespace(perf_counter=lambda: next(ticks)))
+    monkeypatch.setattr("lidarcfg.study.checks.time", SimpleNamespace(perf_counter=lambda: next(ticks)))
     (line,) = study_warnings(path, load_study(path))
     assert re.search(r":6:1: objective: one evaluation takes 1 s, 1000 times that of max_vsr; coarser", line)
 
@@ -357,8 +357,8 @@ def test_of_very_many_warnings_the_first_are_said_and_the_others_counted(tmp_pat
 def test_a_search_on_very_many_cuboids_is_not_tried_to_say_that_it_is_slow(tmp_path, monkeypatch):
     """By the region's own size: 12 × 12 × 4 m in cubes of 1 m."""
     path = study(tmp_path, constraints="objective: {inscribed_radius: 1}")
-    monkeypatch.setattr("lidarcfg.placement.checks.MANY_CUBOIDS", 575)
-    monkeypatch.setattr("lidarcfg.placement.checks.max_vsr", None)  # would be called to take the time
+    monkeypatch.setattr("lidarcfg.study.checks.MANY_CUBOIDS", 575)
+    monkeypatch.setattr("lidarcfg.study.checks.max_vsr", None)  # would be called to take the time
     (line,) = study_warnings(path, load_study(path))
     assert ": region.cuboid_m: 576 cuboids: a search evaluates thousands of rigs" in line
 
@@ -369,7 +369,7 @@ def test_mounting_errors_cost_as_many_evaluations_as_they_draw(tmp_path, monkeyp
         robust = f"robust: {{position_sigma_m: 0.01, samples: {samples}}}"
         path = study(tmp_path, constraints=f"{robust}\nobjective: {{max_vsr: 1}}")
         ticks = iter([0, 1, 20, 20 + own_s])
-        monkeypatch.setattr("lidarcfg.placement.checks.time", SimpleNamespace(perf_counter=lambda t=ticks: next(t)))
+        monkeypatch.setattr("lidarcfg.study.checks.time", SimpleNamespace(perf_counter=lambda t=ticks: next(t)))
         found = list(study_warnings(path, load_study(path)))
         assert len(found) == (slow is not None)
         for line in found:

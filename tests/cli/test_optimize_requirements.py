@@ -6,7 +6,7 @@ import json
 import numpy as np
 
 from tests.command_line import lidarcfg
-from tests.placement.test_requirements_search import CHOICE, SLIT
+from tests.search.test_requirements_search import CHOICE, SLIT
 
 
 def test_exit_3_where_a_requirement_is_not_met(tmp_path, blank_pictures):

@@ -22,20 +22,20 @@ from distributed import Client
 
 import lidarcfg
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement import plan as plans
-from lidarcfg.placement.cheapest import cheapest
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.plan import load_plan
-from lidarcfg.placement.study import load_study
-from lidarcfg.placement.sweep import sweep
-from lidarcfg.placement.workers import Cluster, Processes
 from lidarcfg.report.sweep import SweepFolder
+from lidarcfg.search import plan as plans
+from lidarcfg.search.cheapest import cheapest
+from lidarcfg.search.optimize import optimize
+from lidarcfg.search.plan import load_plan
+from lidarcfg.search.sweep import sweep
+from lidarcfg.search.workers import Cluster, Processes
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.study import load_study
 from tests.command_line import lidarcfg as command
-from tests.placement.test_requirements_search import CHOICE
+from tests.search.test_requirements_search import CHOICE
 
 BIN = Path(sys.executable).parent
-PLAN = Path(__file__).parents[1] / "placement/studies/plan.yaml"
+PLAN = Path(__file__).parents[1] / "search/studies/plan.yaml"
 
 
 def rows(folder):
@@ -163,7 +163,7 @@ def test_a_worker_that_is_killed_is_replaced(plan, serial):
 IDLE = """
 import multiprocessing, os, signal
 from concurrent.futures import BrokenExecutor
-from lidarcfg.placement.workers import Processes
+from lidarcfg.search.workers import Processes
 
 signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # as commands have it
 crew = Processes(1)

@@ -15,9 +15,9 @@ from pydantic import Field, ValidationError
 from lidarcfg.config.models import ERROR_MESSAGES, Model, Section, load, loads, nested_models
 from lidarcfg.errors import MANY, ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.sensors.rig import RigFile, load_rig
 from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.study.file import StudyFile
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene_file import SceneFile
 

@@ -21,18 +21,18 @@ from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import view
 from lidarcfg.geometry import pose
-from lidarcfg.placement.cones import poses as sensor_poses
-from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.front import front
-from lidarcfg.placement.report_inputs import report_inputs
-from lidarcfg.placement.solvers.annealing import Annealing
-from lidarcfg.placement.solvers.search import Coordinates, of_objectives
-from lidarcfg.placement.study import with_solver
-from lidarcfg.placement.study_evaluator import StudyEvaluator
-from lidarcfg.placement.subspace import segment
+from lidarcfg.report.inputs import report_inputs
 from lidarcfg.returns.counts import returns
+from lidarcfg.search.front import front
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.solvers.annealing import Annealing
+from lidarcfg.solvers.search import Coordinates, of_objectives
+from lidarcfg.study.study import with_solver
+from lidarcfg.study.study_evaluator import StudyEvaluator
 from lidarcfg.units import START_NS
+from lidarcfg.vsr.cones import poses as sensor_poses
+from lidarcfg.vsr.cones import rig_lidars
+from lidarcfg.vsr.subspaces import segment
 from lidarcfg.world.motion import Trajectory, build_path, load_path
 from lidarcfg.world.tracer import NO_OBSTACLES, Tracer
 from lidarcfg.world.vehicle import load_vehicle

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.study import load_study
 from lidarcfg.report.canvas import drawing, number_places, spread
 from lidarcfg.report.plots import draw_rig
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.study import load_study
 
 ROOT = Path(__file__).parents[2]
 

@@ -8,14 +8,14 @@ import pytest
 
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
-from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.extrapolation import Extrapolated
-from lidarcfg.placement.report_inputs import report_inputs
-from lidarcfg.placement.spheres import largest_spheres
-from lidarcfg.placement.study import load_study
 from lidarcfg.report.comparison import comparison, comparison_dict, comparison_table, contenders, print_comparison
 from lidarcfg.report.document import Commands
+from lidarcfg.report.inputs import report_inputs
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.study import load_study
+from lidarcfg.vsr.extrapolation import Extrapolated
+from lidarcfg.vsr.spheres import largest_spheres
 from tests.command_line import lidarcfg
 from tests.report.test_report import STUDY, read
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.front import front
-from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report.describe import price
 from lidarcfg.report.front import draw_front, load_front_logs, save_front_log
+from lidarcfg.search.front import front
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.study import load_study, with_solver
 from tests.command_line import lidarcfg, without_drawing
 
 STUDY = """region: {min_m: [0, 0, 0], max_m: [8, 6, 3], cuboid_m: [1, 0.5, 0.5]}

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.report.misses import SeenBy, colours, draw_misses, misses_lines, misses_table, rigs_seen
 from lidarcfg.returns.missed_map import missed_map
 from lidarcfg.returns.misses import MissesFound, ObjectMisses
+from lidarcfg.study.evaluation import evaluate
 from tests.command_line import lidarcfg
 from tests.report.test_report import read
 from tests.studies import study_of

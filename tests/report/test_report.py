@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.report_inputs import report_inputs
-from lidarcfg.placement.study import load_study
 from lidarcfg.report.comparison import contenders, save_comparison
 from lidarcfg.report.describe import date, describe_constraints
 from lidarcfg.report.document import Commands
 from lidarcfg.report.drawings import least_detected
 from lidarcfg.report.evaluation import bounds_table, mounts_table
+from lidarcfg.report.inputs import report_inputs
 from lidarcfg.report.plots import draw_convergence
 from lidarcfg.report.results import save_evaluation, save_placement
 from lidarcfg.report.tables import print_evaluation
 from lidarcfg.report.text import truncate
+from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.study import load_study
 from tests.chromium import LACKING, asked_for, browser, complaints
 from tests.command_line import lidarcfg
 

@@ -7,15 +7,15 @@ import itertools
 
 import pytest
 
-from lidarcfg.placement.detection import mean_of
-from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report.describe import describe_skips
 from lidarcfg.report.document import _skipped
 from lidarcfg.report.evaluation import detection_table
 from lidarcfg.report.results import placement_dict
+from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.vsr.detection import mean_of
 
 STUDY = """
 region: {min_m: [-4, -3, 0], max_m: [4, 3, 2], cuboid_m: [1, 1, 0.5]}

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.placement.study import load_study
 from lidarcfg.report.evidence import draw_map
 from lidarcfg.report.verdict import remarks, verdict_table
 from lidarcfg.report.verification import margins_table
@@ -21,6 +20,7 @@ from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.known import lowest_at
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.study import load_study
 from lidarcfg.world.footprint import Footprint
 from tests.command_line import lidarcfg
 from tests.requirements.cases import ALL, AROUND, BODY, random_rig, requirement

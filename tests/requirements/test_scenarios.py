@@ -6,12 +6,12 @@ import pytest
 from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.study import load_study, study_of
-from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.scenario import draw_scenario, save_drive
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.file import StudyFile
+from lidarcfg.study.study import load_study, study_of
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene

@@ -11,8 +11,6 @@ import pytest
 import shapely
 
 from lidarcfg.geometry import pose, transform
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.study import load_study
 from lidarcfg.requirements.object_requirement import ObjectJudge, ObjectRequirement
 from lidarcfg.requirements.place_counts import reached
 from lidarcfg.requirements.post import PostJudge, PostRequirement
@@ -22,6 +20,8 @@ from lidarcfg.returns.known import lowest_at
 from lidarcfg.returns.places import Stand, Zone
 from lidarcfg.returns.silhouettes import MOST, Core, Silhouettes, centres_of
 from lidarcfg.returns.target import box_target
+from lidarcfg.search.optimize import optimize
+from lidarcfg.study.study import load_study
 from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.meshes import join_meshes
 from lidarcfg.world.scene import build_scene

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from lidarcfg.placement.metric import max_vsr
-from lidarcfg.placement.study import load_study
+from lidarcfg.study.study import load_study
+from lidarcfg.vsr.metric import max_vsr
 
 ROOT = Path(__file__).parents[2]
 JUDGED = json.loads((ROOT / "data/reference/learned_judge.json").read_text())

@@ -11,9 +11,6 @@ import yaml
 from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.packets.families import timing
-from lidarcfg.placement.cones import poses as sensor_poses
-from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.study import load_study
 from lidarcfg.requirements.scenario_file import load_scenario
 from lidarcfg.requirements.scenario_run import Rule, check_scenario
 from lidarcfg.returns.beams import passing_beams
@@ -21,9 +18,12 @@ from lidarcfg.returns.counts import returns
 from lidarcfg.returns.known import lowest_at
 from lidarcfg.returns.scanners import PHASES, compiled, scanner
 from lidarcfg.returns.target import Target
+from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.sensors.scan_pattern import load_scan_pattern
 from lidarcfg.sensors.sensor import load_sensor
+from lidarcfg.study.study import load_study
+from lidarcfg.vsr.cones import poses as sensor_poses
 from lidarcfg.world.tracer import NO_OBSTACLES
 from lidarcfg.world.vehicle import load_vehicle
 from tests.capture_fixtures import no_warning

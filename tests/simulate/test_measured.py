@@ -10,12 +10,12 @@ import yaml
 from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.cones import sensor_lidar
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
 from lidarcfg.sensors.sensor import Reported, catalogue, load_sensor
 from lidarcfg.simulate.echoes import Echoes, add_noise, drop_one_return, laser_errors_m
 from lidarcfg.units import SECOND_NS
+from lidarcfg.vsr.cones import sensor_lidar
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import datagrams_of, decoded, mount, recording, scene
 from tests.refusals import refused

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from lidarcfg import core
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.returns.counts import returns
 from lidarcfg.returns.scanners import PHASES, Poses, compiled, scanner
 from lidarcfg.returns.target import Target
+from lidarcfg.vsr.cones import poses as sensor_poses
 from lidarcfg.world.tracer import NO_OBSTACLES
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box, lidars, mount, obstacles, revolution, simulated, tracer_of

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lidarcfg.geometry import rotation
-from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.sensors.rig import load_rig, save_rig
+from lidarcfg.study.evaluation import evaluate
 from lidarcfg.viewer.contents import load_contents
 from lidarcfg.viewer.evaluation import with_poses
 from lidarcfg.viewer.mounting import slide, surface_mounts

@@ -18,9 +18,9 @@ import pytest
 from lidarcfg.capture.ground_truth import Objects
 from lidarcfg.clouds.cloud import PointCloud
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.study import load_study
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.study import load_study
 from lidarcfg.viewer.camera import Camera
 from lidarcfg.viewer.contents import Contents, load_contents
 from lidarcfg.viewer.evaluation import with_poses

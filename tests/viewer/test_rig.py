@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.evaluation import evaluate
 from lidarcfg.viewer.bodies import score
 from lidarcfg.viewer.contents import load_contents
 from lidarcfg.viewer.evaluation import with_poses

@@ -19,23 +19,23 @@ from lidarcfg.clouds.cloud import PointCloud, save_clouds
 from lidarcfg.core import view as core
 from lidarcfg.errors import CloudError, ConfigError, PacketError
 from lidarcfg.geometry import pose, transform
-from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.metric import extents, surface_m2
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import load_study
-from lidarcfg.placement.subspace import segment
 from lidarcfg.sensors.rig import Rig, load_rig, rig_text
+from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.study import load_study
 from lidarcfg.viewer.bodies import faces, score
 from lidarcfg.viewer.camera import Camera
 from lidarcfg.viewer.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, point_colours, rgb, scaled
 from lidarcfg.viewer.contents import Contents, kind_to_show, load_contents
 from lidarcfg.viewer.still import save_still
 from lidarcfg.viewer.window import parts
+from lidarcfg.vsr.cones import lidar
+from lidarcfg.vsr.metric import extents, surface_m2
+from lidarcfg.vsr.region import Region
+from lidarcfg.vsr.subspaces import segment
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import AT_NS, STREET, no_warning, recording, scene, tilted_rig
-from tests.placement.test_requirements_search import CHOICE
+from tests.search.test_requirements_search import CHOICE
 
 STILLS = Path(__file__).parent / "stills"
 STUDY = STREET.parent.parent / "studies/sedan.yaml"

@@ -1,4 +1,4 @@
-/// Sight and Obstacles from the NamedTuples of lidarcfg/placement/visibility.py and world/tracer.py.
+/// Sight and Obstacles from the NamedTuples of lidarcfg/vsr/visibility.py and world/tracer.py.
 #pragma once
 
 #include "bind/arguments.h"

@@ -1,0 +1,2 @@
+from .optimize import optimize as optimize
+from .optimize import place as place

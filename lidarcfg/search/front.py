@@ -1,0 +1,393 @@
+"""The search for the best rig of each price: many combinations of sensors, and one budget.
+
+Each combination has a search of its own, which runs in parts. The next part goes to the combination that is expected
+to reach the front soonest. A combination on the front is already there. For any other, the objective is assumed to
+fall by the fraction PROGRESS whenever the number of evaluations grows by a factor of e: after n evaluations, with an
+objective that is a fraction g above the best at the same or a lower price, it needs n exp(g / PROGRESS) evaluations.
+So most of the budget goes to the front. Every combination gets at least 1 / NEGLECT of the evaluations that those on
+the front have, because early values say little.
+
+After the first part of its own search, and again whenever that search has grown by the factor LATER, a combination
+learns from the others for TRANSFER evaluations: see combinations.py. None of this depends on the budget, so a resumed
+search ends where an uninterrupted one does.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lidarcfg import maths
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.requirements.verdict import Verdict
+from lidarcfg.search.combinations import Combination, Example, combinations, options, starts
+from lidarcfg.search.plain_rigs import plain_points
+from lidarcfg.search.points_first import PointsFirst
+from lidarcfg.search.run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator
+from lidarcfg.search.starts import starting_options
+from lidarcfg.sensors.rig import Rig
+from lidarcfg.solvers.cma_es import WarmStart
+from lidarcfg.solvers.search import NO_COST, FixedPoint, Search
+from lidarcfg.study.study import Study
+from lidarcfg.study.study_evaluator import StudyEvaluator
+
+PROGRESS = 0.4
+NEGLECT = 4.0
+PART = 200  # evaluations of a part, at least
+GROWTH = 0.25  # of a part, by the evaluations so far
+FRONT_PLACES = 512  # of each object, at which misses are counted
+TRANSFER = 150  # evaluations by which a combination learns from the others
+LATER = 16  # the growth of its own search after which it does so again
+
+
+@dataclass(frozen=True)
+class Part:
+    """A line of the history: one part of one combination's search."""
+
+    evaluations: int  # of all combinations
+    combination: str
+    own_evaluations: int
+    best: float
+    on_front: bool  # then
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A combination, and the state of its search."""
+
+    combination: Combination
+    objective: float  # of the best rig; inf if none was found
+    evaluations: int
+    on_front: bool
+
+
+@dataclass(frozen=True)
+class Point:
+    """A combination on the front, with its best rig."""
+
+    combination: Combination
+    placement: Placement
+
+
+@dataclass(frozen=True)
+class Front:
+    """For each price the rig with the least objective."""
+
+    points: tuple[Point, ...]  # by price; each has a smaller objective than the one before
+    candidates: tuple[Candidate, ...]  # all combinations, by price, then objective
+    history: tuple[Part, ...]
+    logs: tuple[tuple[Log, ...], ...]  # by combination, in their own order, those of its searches
+    seconds: float
+    interrupted: bool
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of all combinations."""
+        return sum(candidate.evaluations for candidate in self.candidates)
+
+    @property
+    def dominated_evaluations(self) -> int:
+        """Evaluations of the combinations that are not on the front."""
+        return sum(candidate.evaluations for candidate in self.candidates if not candidate.on_front)
+
+
+def on_front(prices: Sequence[float], objectives: Sequence[float]) -> list[bool]:
+    """Which pairs of price and objective are not dominated by another pair.
+
+    One pair dominates another if neither its price nor its objective is larger, and one of them is smaller; of equal
+    pairs the first counts. Pairs without a rig that meets the constraints are on no front.
+    """
+    best = math.inf
+    found = [False] * len(prices)
+    for i in sorted(range(len(prices)), key=lambda i: (prices[i], objectives[i])):
+        if objectives[i] < best:
+            best = objectives[i]
+            found[i] = True
+    return found
+
+
+def front(
+    study: Study,
+    threads: int | None = None,
+    on_part: Callable[["FrontRun"], None] | None = None,
+    logs: Sequence[Sequence[Log]] = (),
+    skip: bool = True,
+    rigs: Sequence[Rig] = (),
+) -> Front:
+    """Search for the rig with the least objective for each price, over all combinations that a study allows.
+
+    The result depends on the seed, not on the number of threads; budgets count for all combinations together. `logs`
+    are those of an earlier search to resume. `rigs` are tried first, each in the combination whose models it has. An
+    interrupt (Ctrl-C) ends the search and keeps the front so far. Raises ConfigError if nothing is to choose, for rigs
+    that the study does not allow, and if no rig was found that meets the constraints.
+    """
+    if not study.to_choose:
+        raise ConfigError("nothing to choose in the study: no group has `choose`")
+    search = FrontRun(study, logs, rigs)
+    interrupted = False
+    try:
+        search.run(threads, on_part, skip)
+    except KeyboardInterrupt:
+        interrupted = True
+    return search.result(interrupted)
+
+
+class FrontSearch(SearchRun):
+    """A search of one combination. Misses are counted at as many places as those of all others."""
+
+    def _evaluator(
+        self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
+    ) -> AbstractContextManager[TrialEvaluator]:
+        return StudyEvaluator(self.study, threads, skip, on_evaluations, FRONT_PLACES)
+
+    def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
+        """As SearchRun; misses are those at fresh places."""
+        found = super().placement(interrupted, verdict)
+        if self.study.objective.misses is None:
+            return found
+        return replace(found, objective=self.study.cost(self.study.poses(self.best_x[None])[0]))
+
+
+class CandidateSearch:
+    """A combination and its searches: the ordinary one first, then those that learn from others."""
+
+    def __init__(self, combination: Combination, logs: Sequence[Log]) -> None:
+        self.combination = combination
+        self._logs = list(logs)
+        study = combination.study
+        points = logs[0].points if logs else None
+        if points is not None and points.shape[1] != study.free.sum():
+            raise ConfigError(f"{combination.name}: its log begins with points of another study")
+        if points is None and study.objective.misses:
+            points = plain_points(study)
+        if not study.free.any():
+            search: Search = FixedPoint()
+        elif points is None:
+            search = study.solver.begin(study.coordinates)
+        else:
+            search = PointsFirst(study, points)
+        self.runs = [self._run(search)]
+        self._transfer: WarmStart | None = None  # the last one's search
+
+    def _run(self, search: Search) -> SearchRun:
+        return FrontSearch(self.combination.study, search, self._logs.pop(0) if self._logs else None)
+
+    @property
+    def own(self) -> SearchRun:
+        """The ordinary search."""
+        return self.runs[0]
+
+    @property
+    def best(self) -> SearchRun:
+        """The search with the best rig."""
+        return min(self.runs, key=lambda run: run.best_cost)
+
+    @property
+    def objective(self) -> float:
+        """The least so far; inf without a rig that meets the constraints."""
+        return self.best.best_cost.objective
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of all its searches."""
+        return sum(run.evaluations for run in self.runs)
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of all its searches."""
+        return sum(run.cycles for run in self.runs)
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of all its searches."""
+        return sum(run.seconds for run in self.runs)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether nothing is left to try."""
+        return self.evaluations > 0 and not self.combination.study.free.any()
+
+    @property
+    def should_transfer(self) -> bool:
+        """Whether its own search has grown enough to learn from the others again."""
+        return self.own.evaluations >= PART * int(LATER ** (len(self.runs) - 1))
+
+    def learn(self, searches: Sequence["CandidateSearch"], number: int) -> SearchRun | None:
+        """A search that starts from the best rigs of all; None if no rig fits. `number` is this candidate's index."""
+        known = [candidate for candidate in searches if candidate.objective < math.inf]
+        examples = [Example(one.combination, one.best.best_x, one.objective) for one in known]
+        rng = np.random.default_rng([self.combination.study.solver.seed, number, len(self.runs)])
+        found = starts(self.combination, examples, rng)
+        if not len(found):
+            return None
+        self._transfer = WarmStart(found, int(rng.integers(2**63)))
+        self.runs.append(self._run(self._transfer))
+        return self.runs[-1]
+
+    def is_over(self, run: SearchRun) -> bool:
+        """Whether one of its searches has nothing more to try for now."""
+        return self.is_done or (run is not self.own and self._transfer is not None and self._transfer.over)
+
+    def placement(self, interrupted: bool) -> Placement:
+        """The best rig, with the ordinary search's history and log."""
+        found = self.best.placement(interrupted)
+        own = self.own
+        if len(self.runs) == 1:
+            return found
+        last = Cycle(self.cycles, self.evaluations, self.best.best_cost.number, own.history[-1].mean, self.seconds)
+        works = [run.work for run in self.runs]
+        return replace(
+            found,
+            history=(*own.history, last),
+            log=own.log(),
+            evaluations=self.evaluations,
+            first_evaluations=own.asked["first"],
+            scout_evaluations=own.asked["scout"],
+            evaluated=sum(work.trials for work in works),
+            full_evaluations=sum(work.full_evaluations for work in works),
+            cuboids=sum(work.cuboids for work in works),
+            segments=sum(work.segments for work in works),
+            seconds=self.seconds,
+        )
+
+
+class FrontRun:
+    """The searches of all combinations, in progress."""
+
+    def __init__(self, study: Study, logs: Sequence[Sequence[Log]] = (), rigs: Sequence[Rig] = ()) -> None:
+        """Raises ConfigError for rigs that the study does not allow."""
+        self.study = study
+        ones = combinations(study)
+        if not logs:
+            given = starting_options(options(study), rigs)
+            logs = [[Log.empty(np.array(given[n]))] if n in given else [] for n in range(len(ones))]
+        self.searches = [CandidateSearch(one, log) for one, log in zip(ones, logs, strict=True)]
+        self.history: list[Part] = []
+        self._prices = np.array([one.price for one in ones])
+        self._budget = Budget.of(study.solver)
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of all combinations."""
+        return sum(candidate.evaluations for candidate in self.searches)
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of all combinations."""
+        return sum(candidate.cycles for candidate in self.searches)
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of all combinations."""
+        return sum(candidate.seconds for candidate in self.searches)
+
+    @property
+    def objectives(self) -> Array:
+        """(combinations,) the least so far; inf without a rig that meets the constraints."""
+        return np.array([candidate.objective for candidate in self.searches])
+
+    @property
+    def spent(self) -> float:
+        """The fraction of the budget that is spent."""
+        return self._budget.fraction(self.evaluations, self.cycles)
+
+    def on_front(self) -> list[bool]:
+        """(combinations,) which are on the front so far."""
+        return on_front(self._prices.tolist(), self.objectives.tolist())
+
+    def logs(self) -> list[list[Log]]:
+        """Everything needed to resume: the logs of each combination's searches."""
+        return [[run.log() for run in candidate.runs] for candidate in self.searches]
+
+    def run(self, threads: int | None, on_part: Callable[["FrontRun"], None] | None = None, skip: bool = True) -> None:
+        """Search until the budget is spent, or nothing is left to try."""
+        while (i := self._next()) is not None and not (self.history and self._is_spent()):
+            candidate = self.searches[i]
+            learner = candidate.learn(self.searches, i) if candidate.should_transfer else None
+            if learner:
+                self._work(candidate, learner, TRANSFER, threads, skip)
+            else:
+                self._work(candidate, candidate.own, max(PART, int(GROWTH * candidate.own.evaluations)), threads, skip)
+            state = candidate.evaluations, candidate.best.best_cost.number, self.on_front()[i], self.seconds
+            self.history.append(Part(self.evaluations, candidate.combination.name, *state))
+            if on_part:
+                on_part(self)
+
+    def _work(
+        self, candidate: CandidateSearch, run: SearchRun, evaluations: int, threads: int | None, skip: bool
+    ) -> None:
+        """Run a part of one of its searches."""
+        end = run.evaluations + evaluations
+        with run.evaluator(threads, skip) as evaluator:
+            while True:
+                run.step(evaluator, self._left(run))
+                if candidate.is_over(run) or run.evaluations >= end or self._is_spent():
+                    return
+
+    def _is_spent(self) -> bool:
+        return self._budget.spent(self.evaluations, self.cycles)
+
+    def _left(self, run: SearchRun) -> Budget:
+        """The budget of one search, so that all together do not exceed theirs."""
+        budget = self._budget
+        evaluations = None if budget.evaluations is None else budget.evaluations - self.evaluations + run.evaluations
+        cycles = None if budget.cycles is None else budget.cycles - self.cycles + run.cycles
+        return replace(budget, evaluations=evaluations, cycles=cycles)
+
+    def _next(self) -> int | None:
+        """The combination that will soonest be on the front: first those not tried yet, by price."""
+        there = [i for i, candidate in enumerate(self.searches) if not candidate.is_done]
+        if not there:
+            return None
+        fresh = [i for i in there if not self.searches[i].evaluations]
+        if fresh:
+            return min(fresh, key=lambda i: self._prices[i])
+        spent = np.array([max(candidate.evaluations, 1) for candidate in self.searches])
+        effort = maths.log(spent) + required_growth(self._prices, self.objectives)
+        return min(there, key=lambda i: effort[i])
+
+    def result(self, interrupted: bool) -> Front:
+        """The front so far. Raises KeyboardInterrupt if there is none yet, ConfigError where no rig is allowed."""
+        if all(candidate.best.best_cost == NO_COST for candidate in self.searches):
+            raise KeyboardInterrupt
+        on_front = self.on_front()
+        objectives = self.objectives.tolist()
+        if not any(on_front):
+            raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
+        order = sorted(range(len(on_front)), key=lambda i: (self._prices[i], objectives[i]))
+        ones = self.searches
+        points = [Point(ones[i].combination, ones[i].placement(interrupted)) for i in order if on_front[i]]
+        return Front(
+            points=tuple(_best_for_their_price(points)),
+            candidates=tuple(
+                Candidate(ones[i].combination, objectives[i], ones[i].evaluations, on_front[i]) for i in order
+            ),
+            history=tuple(self.history),
+            logs=tuple(tuple(logs) for logs in self.logs()),
+            seconds=self.seconds,
+            interrupted=interrupted,
+        )
+
+
+def _best_for_their_price(points: Sequence[Point]) -> list[Point]:
+    """Those points that no cheaper one equals, which at fresh places it may."""
+    prices = [one.combination.price for one in points]
+    kept = on_front(prices, [one.placement.objective for one in points])
+    return [one for one, is_kept in zip(points, kept, strict=True) if is_kept]
+
+
+def required_growth(prices: Array, objectives: Array) -> Array:
+    """(n,) the logarithm of the factor by which each search must grow to reach the front, as assumed above."""
+    order = np.lexsort((objectives, prices))
+    least = np.empty(len(prices))
+    least[order] = np.minimum.accumulate(objectives[order])
+    most: float = maths.log(NEGLECT)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gap = objectives / least - 1.0
+    gap[objectives == least] = 0.0
+    gap[np.isinf(objectives)] = math.inf
+    return np.minimum(gap / PROGRESS, most)
