@@ -18,8 +18,9 @@ Beyond the paper: `objective` has the terms that may be minimised, `zones` weigh
 `return_counts` compute how often objects are detected, `blind_spots` what no LiDAR sees; `study_evaluator` takes
 failures and mounting errors into account; `surfaces` are where on a body sensors may sit; `extrapolation` finds
 what max VSR would be for ever smaller cuboids; `combinations` and `front` choose sensors by
-price; `plan` and `sweep` run many searches. A search may begin with given points (`points_first`): `starts` are the
-user's rigs, `plain_rigs` those that an engineer would try; `misses_search` goes on from them at ever more places. For
+price; `plan` and `sweep` run many searches, on `workers`. A search may begin with given points (`points_first`):
+`starts` are the user's rigs, `plain_rigs` those that an engineer would try; `misses_search` goes on from them at ever
+more places. For
 requirements: `screen` ranks plain rigs, `requirements_search` has the costs and the search, `cheapest` finds the
 cheapest rig, and `achievable` what no rig can meet.
 """
