@@ -9,7 +9,6 @@ import jsonschema
 import numpy as np
 import pytest
 
-import lidarcfg as package
 from lidarcfg.cli.schemas import schema
 from lidarcfg.requirements.kinds import KINDS
 from lidarcfg.sensors.rig import load_rig
@@ -154,6 +153,8 @@ def test_nobody_asks_of_which_kind_a_requirement_is():
     names = "|".join(kind.__name__.removesuffix("Kind") for kind in KINDS.values())
     asks = re.compile(rf"isinstance\([^)]*\b({names})(Kind|Requirement|Judge)\b|case ({names})|\.key ==|\.kind ==")
     folders = ("requirements", "study", "search", "report", "viewer")
-    files = [path for folder in folders for path in Path(package.__path__[0], folder).rglob("*.py")]
+    files = [
+        path for folder in folders for path in Path(__file__).parents[2].joinpath("lidarcfg", folder).rglob("*.py")
+    ]
     assert files
     assert [(str(path), found[0]) for path in files for found in asks.finditer(path.read_text())] == []

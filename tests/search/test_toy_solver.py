@@ -14,7 +14,6 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-import lidarcfg as package
 from lidarcfg.cli.schemas import schema
 from lidarcfg.errors import ConfigError
 from lidarcfg.search.optimize import optimize
@@ -181,9 +180,9 @@ def test_each_solver_is_in_the_table_by_its_method():
 
 def test_nobody_asks_for_a_solver_by_its_name():
     """But the table."""
-    names = "|".join(SOLVERS)
+    names = "|".join(name for name in SOLVERS if name != "auto")  # which Matplotlib says, too
     asks = re.compile(rf"method\W{{1,4}}(==|!=|in)\s*[\"'(]|[\"']({names})[\"']")
-    folder = Path(package.__path__[0])
+    folder = Path(__file__).parents[2] / "lidarcfg"
     files = [path for one in ("study", "search", "report", "cli") for path in folder.joinpath(one).rglob("*.py")]
     assert [(str(path), found[0]) for path in files for found in asks.finditer(path.read_text())] == []
     assert {name for name in vars(Solver) if name in SOLVERS} == set()
