@@ -28,6 +28,7 @@ from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.search import of_objectives
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import beam_gaps, segment
+from lidarcfg.placement.terms.term import TermContext
 from lidarcfg.sensors.rig import Rig
 from tests import oracle
 from tests.capture_fixtures import PLY, datagrams_of, mount, no_warning, room, scene
@@ -341,7 +342,8 @@ def test_nan_from_an_objective_is_no_result(tmp_path, objective):
     path = tmp_path / "s.yaml"
     path.write_text(STUDY.format(x=0, x2=6, y=0, y2=4, a=3, b=2) + f"objective: {{{objective}}}\n")
     study = load_study(path)
-    broken = Broken(study.objective, study.region, study.detection)
+    parts = TermContext(study.region, study.detection, (), None, None, None, ())
+    broken = Broken(study.objective, parts)
     run = SearchRun(study, BeeColony(int(study.free.sum()), 5, 100, 1))
     lidars = [slot.lidar for slot in study.slots]
     with (
