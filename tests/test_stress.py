@@ -25,6 +25,7 @@ from lidarcfg.solvers.search import of_objectives
 from lidarcfg.study.evaluator import Evaluator
 from lidarcfg.study.objective import Criterion
 from lidarcfg.study.study import load_study
+from lidarcfg.study.terms.term import TermContext
 from lidarcfg.vsr.cones import Lidar, gaps_at
 from lidarcfg.vsr.metric import max_vsr, vsr_m
 from lidarcfg.vsr.region import Region
@@ -341,7 +342,8 @@ def test_nan_from_an_objective_is_no_result(tmp_path, objective):
     path = tmp_path / "s.yaml"
     path.write_text(STUDY.format(x=0, x2=6, y=0, y2=4, a=3, b=2) + f"objective: {{{objective}}}\n")
     study = load_study(path)
-    broken = Broken(study.objective, study.region, study.detection)
+    parts = TermContext(study.region, study.detection, (), None, None, None, ())
+    broken = Broken(study.objective, parts)
     run = SearchRun(study, BeeColony(int(study.free.sum()), 5, 100, 1))
     lidars = [slot.lidar for slot in study.slots]
     with (
