@@ -3,24 +3,24 @@
 A submodule for each package that has such loops, named as the package: `core.placement` is called by `placement`.
 Their signatures are in the `.pyi` files here; README.md says how to build, debug and profile.
 
-On x86-64 the same sources are compiled twice, for processors with AVX2 and for those without: bit for bit the same
-results. LIDARCFG_CORE=v2 asks for the latter.
+Built from source the core is compiled for the machine's own processor; wheels have it twice, for processors with AVX2
+and for those without: bit for bit the same results. LIDARCFG_CORE=v2 asks for the latter.
 """
 
 import os
-import platform
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType
+
+from lidarcfg.core.levels import LEAST, choose
 
 
 def _load() -> ModuleType:
-    if platform.machine().lower() not in ("x86_64", "amd64"):
-        return import_module(f"{__name__}._core_any")
-    asked = os.environ.get("LIDARCFG_CORE")
-    if asked:
-        return import_module(f"{__name__}._core_{asked}")
-    module = import_module(f"{__name__}._core_v2")
-    return import_module(f"{__name__}._core_v3") if module.has_v3() else module
+    level = os.environ.get("LIDARCFG_CORE")
+    if not level:
+        built = {one for one in LEAST if find_spec(f"{__name__}._core_{one}")}
+        level = choose(built, import_module(f"{__name__}._core_processor").x86_64_level())
+    return import_module(f"{__name__}._core_{level}")
 
 
 compiled = _load()

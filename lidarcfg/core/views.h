@@ -83,42 +83,4 @@ class Tables {
   Index columns_ = 0;
 };
 
-/// A table whose rows lie in the records of packets, one record every `stride` bytes.
-///
-/// The values of a row lie next to each other, but not aligned: they are read and written by value.
-template <class T>
-class Strided {
- public:
-  using Element = T;
-  using Value = std::remove_const_t<T>;
-  using Byte = std::conditional_t<std::is_const_v<T>, const std::byte, std::byte>;
-
-  Strided() = default;
-  Strided(Byte* data, Index rows, Index row_stride, Index columns, Index column_stride)
-      : data_(data), rows_(rows), row_stride_(row_stride), columns_(columns), column_stride_(column_stride) {}
-
-  Index rows() const { return rows_; }
-  Index columns() const { return columns_; }
-
-  Value get(Index row, Index column = 0) const {
-    Value out;
-    __builtin_memcpy(&out, at(row, column), sizeof out);
-    return out;
-  }
-
-  void set(Index row, Index column, Value value) const { __builtin_memcpy(at(row, column), &value, sizeof value); }
-
- private:
-  Byte* at(Index row, Index column) const {
-    assert(0 <= row && row < rows_ && 0 <= column && column < columns_);
-    return data_ + row * row_stride_ + column * column_stride_;
-  }
-
-  Byte* data_ = nullptr;
-  Index rows_ = 0;
-  Index row_stride_ = 0;
-  Index columns_ = 0;
-  Index column_stride_ = 0;
-};
-
 }  // namespace lidarcfg

@@ -52,5 +52,5 @@ def test_boxes_anywhere():
         core.detected_boxes(label, (0, 0, 0), (1, 1, np.nan), boxes, ONE, 0)
     with pytest.raises(ValueError, match="threshold"):
         core.detected_boxes(label, (0, 0, 0), ONE, boxes, ONE, -1)
-    with pytest.raises(ValueError, match="boxes"):
+    with pytest.raises(TypeError, match="boxes"):
         core.detected_boxes(label, (0, 0, 0), ONE, boxes[:, :3].copy(), ONE, 0)

@@ -76,9 +76,9 @@ def test_bad_arguments():
         maths.sin(np.zeros(2), np.zeros(3))
     with pytest.raises(ValueError, match="x: one for each y"):
         maths.atan2(np.zeros(2), np.zeros(3), np.zeros(2))
-    with pytest.raises(ValueError, match="x: another dtype than float64"):
+    with pytest.raises(TypeError, match=r"x: float32 of shape \(2,\); allowed: ndarray\[dtype=float64"):
         maths.cos(np.zeros(2, np.float32), np.zeros(2))
-    with pytest.raises(ValueError, match="x: not contiguous"):
+    with pytest.raises(TypeError, match=r"x: .*order='C'"):
         maths.cos(np.zeros(4)[::2], np.zeros(2))
-    with pytest.raises(ValueError, match="out: read-only"):
+    with pytest.raises(TypeError, match="out: "):
         maths.cos(np.zeros(2), np.broadcast_to(0.0, 2))

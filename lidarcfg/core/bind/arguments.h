@@ -1,15 +1,14 @@
 /// From Python's arguments to the views that kernels take, and from their results to Python's.
 ///
-/// An array of another dtype, order or number of dimensions, or a read-only one that is to be written, is refused by a
-/// ValueError that names it. Nothing is converted: what a kernel wrote to a copy would be lost. The structs that
-/// kernels take come from NamedTuples, field by field, as `Fields` of each says.
+/// Arrays are nanobind's, which compares dtype, shape and order: another one, or one that is to be written and must not
+/// be, is refused by a TypeError that names it and says what is allowed. Nothing is converted: what a kernel wrote to a
+/// copy would be lost. The structs that kernels take come from NamedTuples, field by field, as `Fields` of each says.
 #pragma once
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
 #include <concepts>
-#include <deque>
 #include <stdexcept>
 #include <string>
 #include <tuple>
@@ -44,73 +43,27 @@ struct Name {
     return whole ? whole->text() + "." + own : own;
   }
 
-  [[noreturn]] void refuse(const std::string& why) const { throw std::invalid_argument(text() + ": " + why); }
+  [[noreturn]] void refuse(const std::string& why) const { throw nb::type_error((text() + ": " + why).c_str()); }
 };
 
 /// The name of an object's type.
 inline std::string kind_of(nb::handle object) { return nb::type_name(object.type()).c_str(); }
 
-/// The memory that the arguments of a call look at; held until it returns.
+/// What the arguments of a call look at; held until it returns.
 class Held {
  public:
-  Held() = default;
-  Held(const Held&) = delete;
-  Held& operator=(const Held&) = delete;
-  ~Held() {
-    for (Py_buffer& buffer : buffers_) {
-      PyBuffer_Release(&buffer);
-    }
-  }
-
-  const Py_buffer& buffer(nb::handle object, const Name& name) {
-    Py_buffer found;
-    if (PyObject_GetBuffer(object.ptr(), &found, PyBUF_FORMAT | PyBUF_STRIDES) != 0) {
-      PyErr_Clear();
-      name.refuse("not an array, but " + kind_of(object));
-    }
-    return buffers_.emplace_back(found);
+  template <class... Config>
+  void keep(const nb::ndarray<Config...>& array) {
+    arrays_.emplace_back(array);
   }
 
   /// A value that a view looks at, such as the items of a sequence.
   void keep(nb::object object) { objects_.push_back(std::move(object)); }
 
  private:
-  std::deque<Py_buffer> buffers_;
+  std::vector<nb::ndarray<>> arrays_;
   std::vector<nb::object> objects_;
 };
-
-/// How numpy calls a type of elements, and what it has instead; the kinds of the buffer protocol's formats.
-template <class T>
-constexpr const char* dtype_name() {
-  using V = std::remove_const_t<T>;
-  if constexpr (std::same_as<V, bool>) {
-    return "bool";
-  } else if constexpr (std::floating_point<V>) {
-    return sizeof(V) == 8 ? "float64" : "float32";
-  } else if constexpr (std::is_signed_v<V>) {
-    return sizeof(V) == 8 ? "int64" : sizeof(V) == 4 ? "int32" : sizeof(V) == 2 ? "int16" : "int8";
-  } else {
-    return sizeof(V) == 8 ? "uint64" : sizeof(V) == 4 ? "uint32" : sizeof(V) == 2 ? "uint16" : "uint8";
-  }
-}
-
-template <class T>
-bool is_dtype(const Py_buffer& buffer) {
-  using V = std::remove_const_t<T>;
-  const std::string format = buffer.format ? buffer.format : "B";
-  if (format.size() != 1 || buffer.itemsize != static_cast<Py_ssize_t>(sizeof(V))) {
-    return false;
-  }
-  if constexpr (std::same_as<V, bool>) {
-    return format == "?";
-  } else if constexpr (std::floating_point<V>) {
-    return format == "d" || format == "f";
-  } else if constexpr (std::is_signed_v<V>) {
-    return std::string("bhilq").find(format) != std::string::npos;
-  } else {
-    return std::string("BHILQ").find(format) != std::string::npos;
-  }
-}
 
 /// The elements of values that lie in several columns of an array: three of a Vec3, one of a double.
 template <class T>
@@ -129,43 +82,36 @@ struct Columns<const std::array<E, N>> {
   static constexpr Index count = N;
 };
 
-/// An array of `dimensions` of values; its lengths along them are written to `shape`.
-template <class T>
-T* array(nb::handle object, Held& held, const Name& name, int dimensions, Index* shape) {
-  using E = typename Columns<T>::Element;
-  constexpr Index columns = Columns<T>::count;
-  const int all = dimensions + (columns > 0);
-  const Py_buffer& buffer = held.buffer(object, name);
-  if (!is_dtype<E>(buffer)) {
-    name.refuse(std::string("another dtype than ") + dtype_name<E>());
+template <class T, nb::ssize_t... lengths>
+using Contiguous = nb::ndarray<T, nb::shape<lengths...>, nb::c_contig, nb::device::cpu>;
+
+/// The array of values that has so many dimensions of any lengths, and that of their columns.
+template <class T, nb::ssize_t... any>
+using ArrayOf = std::conditional_t<Columns<T>::count == 0, Contiguous<typename Columns<T>::Element, any...>,
+                                   Contiguous<typename Columns<T>::Element, any..., Columns<T>::count>>;
+
+/// What an object is: of an array dtype and shape.
+inline std::string kind_of_array(nb::handle object) {
+  if (!nb::hasattr(object, "dtype") || !nb::hasattr(object, "shape")) {
+    return kind_of(object);
   }
-  if (buffer.ndim != all) {
-    name.refuse(std::to_string(buffer.ndim) + " dimensions; allowed: " + std::to_string(all));
+  const nb::object dtype = object.attr("dtype");
+  const nb::object shape = object.attr("shape");
+  return std::string(nb::str(nb::handle(dtype)).c_str()) + " of shape " + nb::str(nb::handle(shape)).c_str();
+}
+
+/// The array that an object is.
+template <class A>
+A array(nb::handle object, Held& held, const Name& name) {
+  A found;
+  if (!nb::try_cast(object, found, false)) {
+    name.refuse(kind_of_array(object) + "; allowed: " + nb::detail::make_caster<A>::Name.text);
   }
-  if (columns && buffer.shape[all - 1] != columns) {
-    name.refuse(std::to_string(buffer.shape[all - 1]) + " columns; allowed: " + std::to_string(columns));
-  }
-  if (!std::is_const_v<E> && buffer.readonly) {
-    name.refuse("read-only, but to be written");
-  }
-  if (reinterpret_cast<std::uintptr_t>(buffer.buf) % alignof(E) != 0) {
+  if (reinterpret_cast<std::uintptr_t>(found.data()) % alignof(typename A::Scalar) != 0) {
     name.refuse("not aligned in memory");
   }
-  bool empty = false;
-  for (int k = 0; k < buffer.ndim; ++k) {
-    empty |= buffer.shape[k] == 0;
-  }
-  Py_ssize_t stride = buffer.itemsize;
-  for (int k = buffer.ndim - 1; k >= 0; --k) {
-    if (!empty && buffer.shape[k] > 1 && buffer.strides[k] != stride) {
-      name.refuse("not contiguous, row by row");
-    }
-    stride *= buffer.shape[k];
-  }
-  for (int k = 0; k < dimensions; ++k) {
-    shape[k] = buffer.shape[k];
-  }
-  return static_cast<T*>(buffer.buf);
+  held.keep(found);
+  return found;
 }
 
 /// The fields that a struct takes from a NamedTuple: `static constexpr auto members = fields(field("x", &Grid::x), …)`.
@@ -234,7 +180,7 @@ struct From<T> {
     }
     T value;
     if (!nb::try_cast(number, value)) {
-      name.refuse(std::string("out of the range of ") + dtype_name<T>());
+      name.refuse("out of the range of " + std::to_string(8 * sizeof(T)) + " bits");
     }
     return value;
   }
@@ -255,46 +201,24 @@ struct From<bool> {
 template <class T>
 struct From<View<T>> {
   static View<T> python(nb::handle object, Held& held, const Name& name) {
-    Index shape[1];
-    T* data = array<T>(object, held, name, 1, shape);
-    return {data, static_cast<std::size_t>(shape[0])};
+    const auto found = array<ArrayOf<T, -1>>(object, held, name);
+    return {reinterpret_cast<T*>(found.data()), found.shape(0)};
   }
 };
 
 template <class T>
 struct From<Rows<T>> {
   static Rows<T> python(nb::handle object, Held& held, const Name& name) {
-    Index shape[2];
-    T* data = array<T>(object, held, name, 2, shape);
-    return {data, shape[0], shape[1]};
+    const auto found = array<ArrayOf<T, -1, -1>>(object, held, name);
+    return {reinterpret_cast<T*>(found.data()), Index(found.shape(0)), Index(found.shape(1))};
   }
 };
 
 template <class T>
 struct From<Tables<T>> {
   static Tables<T> python(nb::handle object, Held& held, const Name& name) {
-    Index shape[3];
-    T* data = array<T>(object, held, name, 3, shape);
-    return {data, shape[0], shape[1], shape[2]};
-  }
-};
-
-template <class T>
-struct From<Strided<T>> {  // of one or two dimensions
-  static Strided<T> python(nb::handle object, Held& held, const Name& name) {
-    const Py_buffer& buffer = held.buffer(object, name);
-    if (!is_dtype<T>(buffer)) {
-      name.refuse(std::string("another dtype than ") + dtype_name<T>());
-    }
-    if (buffer.ndim != 1 && buffer.ndim != 2) {
-      name.refuse(std::to_string(buffer.ndim) + " dimensions; allowed: 1 and 2");
-    }
-    if (!std::is_const_v<T> && buffer.readonly) {
-      name.refuse("read-only, but to be written");
-    }
-    const bool table = buffer.ndim == 2;
-    return {static_cast<typename Strided<T>::Byte*>(buffer.buf), buffer.shape[0], buffer.strides[0],
-            table ? buffer.shape[1] : 1, table ? buffer.strides[1] : 0};
+    const auto found = array<ArrayOf<T, -1, -1, -1>>(object, held, name);
+    return {reinterpret_cast<T*>(found.data()), Index(found.shape(0)), Index(found.shape(1)), Index(found.shape(2))};
   }
 };
 
