@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lidarcfg import geometry
-from tests.naive import placement as naive
+from tests.naive import vsr as naive
 
 angles = st.tuples(*[st.floats(-10, 10)] * 3)
 places = st.tuples(*[st.floats(-1e3, 1e3)] * 3)

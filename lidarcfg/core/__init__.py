@@ -1,6 +1,6 @@
 """The hot loops, compiled from the C++ beside this file: arrays in, arrays out.
 
-A submodule for each package that has such loops, named as the package: `core.placement` is called by `placement`.
+A submodule for each package that has such loops, named as the package: `core.vsr` is called by `vsr`.
 Their signatures are in the `.pyi` files here; README.md says how to build, debug and profile.
 
 Built from source the core is compiled for the machine's own processor; wheels have it twice, for processors with AVX2
@@ -27,7 +27,7 @@ compiled = _load()
 maths = compiled.maths
 ouster = compiled.ouster
 packets = compiled.packets
-placement = compiled.placement
+vsr = compiled.vsr
 returns = compiled.returns
 simulate = compiled.simulate
 view = compiled.view

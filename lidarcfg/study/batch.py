@@ -1,6 +1,6 @@
 """A batch of trials: what the core takes and returns, and the threads that share the work.
 
-The types are those of core/placement/evaluator.h, field by field.
+The types are those of core/vsr/evaluator.h, field by field.
 """
 
 from collections.abc import Callable, Sequence

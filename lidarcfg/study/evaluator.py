@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import placement as core
+from lidarcfg.core import vsr as core
 from lidarcfg.geometry import Array, level, up
 from lidarcfg.inputs import check_memory
 from lidarcfg.study.batch import Batch, BatchResult, Counter, Placed, Sources, parallel_for
@@ -33,7 +33,7 @@ LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
 SLICE = 1000  # trials between two looks at the clock
 SLICE_CUBOIDS = 5e7  # in them, at most
 REMEMBERED = 10_000  # trials that may take the place of a food source
-CERTIFICATES = 12  # of a food source, see core/placement/evaluator.h
+CERTIFICATES = 12  # of a food source, see core/vsr/evaluator.h
 FEW = 8  # LiDARs; a trial of at most this many takes as long as its cuboids, one of more proportionally longer
 PAUSE = 10  # batches without certificates after one in which they refuted less than a quarter
 Index = NDArray[np.int64]

@@ -146,7 +146,7 @@ def detection_target(region: Region, item: DetectionObject, target: Target) -> D
         part = part[inside]
     label = np.where(region.included, np.int32(0), np.int32(-1))
     cuboid_m = region.cuboid_m
-    free = [core.placement.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
+    free = [core.vsr.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
     which = np.array(free, bool)
     if not which.any() or (item.samples and part[which][0] == part[which][-1]):
         raise ConfigError(f"{item.name}: has no free place in the region")

@@ -6,7 +6,7 @@ apex both sides are 0, so it is at or above every beam, as is every point within
 
 A point on a cone counts as above it. Rounding decides for points nearer to a cone than 8·2⁻⁵² in the sine, and for no
 others (docs/evidence/accuracy.md). It decides alike everywhere, because whatever asks for a beam gap compares what
-`signed_squares` in core/placement/cones.h returns.
+`signed_squares` in core/vsr/cones.h returns.
 """
 
 import math
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import placement as core
+from lidarcfg.core import vsr as core
 from lidarcfg.geometry import Array, level, up
 from lidarcfg.returns.scanners import Poses
 from lidarcfg.sensors.rig import Rig

@@ -185,7 +185,7 @@ def counted_places(subspaces: Subspaces, item: DetectionObject) -> Counted:
 def boxes_counted(subspaces: Subspaces, size: tuple[int, int, int], layers: int, threshold: int = 1) -> Counted:
     """Where a box of `size` cuboids is detected, and where it can be; its lowest layer is one of the first `layers`."""
     held = np.zeros(len(subspaces), np.bool_)
-    detected, places = core.placement.detected_positions(subspaces.label, size, threshold, layers, ALL, held)
+    detected, places = core.vsr.detected_positions(subspaces.label, size, threshold, layers, ALL, held)
     return Counted(detected, places, held)
 
 
@@ -219,7 +219,7 @@ def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], lim
         layers = 1 if item.on_ground else subspaces.region.shape[2]
         label = subspaces.label
         most = max(enough, 1)
-        detected, seen = core.placement.detected_positions(label, size, item.most_touched, layers, most, NOBODY)
+        detected, seen = core.vsr.detected_positions(label, size, item.most_touched, layers, most, NOBODY)
         misses = int(seen.sum() - detected.sum())
         return 1.0 - (places - misses) / places
     rates = np.ones(len(free))
@@ -328,9 +328,7 @@ def drawn_boxes(region: Region, size_m: tuple[float, float, float], on_ground: b
 def _detected_boxes(subspaces: Subspaces, item: DetectionObject, box: Array) -> tuple[int, int]:
     """How many of the boxes (n, 4) are detected, and how many are free of exclusions."""
     region = subspaces.region
-    return core.placement.detected_boxes(
-        subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.most_touched
-    )
+    return core.vsr.detected_boxes(subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.most_touched)
 
 
 @dataclass(frozen=True)

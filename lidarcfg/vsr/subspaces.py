@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import placement as core
+from lidarcfg.core import vsr as core
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory

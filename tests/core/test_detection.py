@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lidarcfg.core import placement as core
+from lidarcfg.core import vsr as core
 
 ONE = (1.0, 1.0, 1.0)
 

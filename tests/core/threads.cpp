@@ -20,7 +20,7 @@
 #include "maths.h"
 #include "packets/block_decoder.h"
 #include "packets/velodyne.h"
-#include "placement/evaluator.h"
+#include "vsr/evaluator.h"
 #include "returns/known_returns.h"
 #include "simulate/trace.h"
 #include "world/tracer.h"
@@ -175,7 +175,7 @@ void trace_firings(const world::World& scene, const world::Bvh& bodies, std::siz
   });
 }
 
-placement::Grid make_grid() {
+vsr::Grid make_grid() {
   constexpr Index nx = 70;
   constexpr Index ny = 12;
   constexpr Index nz = 4;
@@ -186,11 +186,11 @@ placement::Grid make_grid() {
       centres[axis].push_back(static_cast<double>(n) + 0.5);
     }
   }
-  std::vector<placement::Word> included((nz + 2) * (ny + 2) * chunks);
+  std::vector<vsr::Word> included((nz + 2) * (ny + 2) * chunks);
   for (Index k = 1; k <= nz; ++k) {
     for (Index j = 1; j <= ny; ++j) {
-      included[(k * (ny + 2) + j) * chunks] = placement::all_bits;
-      included[(k * (ny + 2) + j) * chunks + 1] = placement::bit(nx - 64) - 1;
+      included[(k * (ny + 2) + j) * chunks] = vsr::all_bits;
+      included[(k * (ny + 2) + j) * chunks + 1] = vsr::bit(nx - 64) - 1;
     }
   }
   return {centres[0], centres[1], centres[2], included, {1, 1, 1}, {}, {nullptr, 0, 0}};
@@ -198,7 +198,7 @@ placement::Grid make_grid() {
 
 /// Trials of two LiDARs, which threads take from one counter; where `limited`,
 /// by what the LiDARs see.
-void evaluate(const placement::Grid& grid, const placement::Obstacles& obstacles, bool limited) {
+void evaluate(const vsr::Grid& grid, const vsr::Obstacles& obstacles, bool limited) {
   constexpr Index trials = 24;
   constexpr Index lidars = 2;
   constexpr Index columns = 6 + 8;
@@ -211,12 +211,12 @@ void evaluate(const placement::Grid& grid, const placement::Obstacles& obstacles
                                              -0.2,           -0.1,          -0.02,        0.02, 0.1, 0.2, 0.4};
     std::copy(values.begin(), values.end(), row);
   }
-  std::vector<double> limits(limited ? trials * lidars * placement::limit_columns : 0);
-  for (std::size_t n = 0; n < limits.size(); n += placement::limit_columns) {
+  std::vector<double> limits(limited ? trials * lidars * vsr::limit_columns : 0);
+  for (std::size_t n = 0; n < limits.size(); n += vsr::limit_columns) {
     limits[n + 1] = 900;
   }
-  const placement::Placed placed{{cones.data(), trials, lidars, columns},
-                                 {limits.data(), trials, limited ? lidars : 0, placement::limit_columns},
+  const vsr::Placed placed{{cones.data(), trials, lidars, columns},
+                                 {limits.data(), trials, limited ? lidars : 0, vsr::limit_columns},
                                  obstacles};
   const std::vector<double> bound(trials, inf);
   const std::vector<char> moved(trials * lidars, 1);
@@ -225,7 +225,7 @@ void evaluate(const placement::Grid& grid, const placement::Obstacles& obstacles
   const Rows<const bool> none{reinterpret_cast<const bool*>(same.data()), trials, lidars};
   const std::vector<std::int64_t> zeros(trials);
   const std::vector<std::int64_t> known(trials * certificates, -1);
-  const placement::Batch batch{placed, bound, all, zeros, {known.data(), trials, certificates}, {}, none, {}, 0.0};
+  const vsr::Batch batch{placed, bound, all, zeros, {known.data(), trials, certificates}, {}, none, {}, 0.0};
   const std::array<char, lidars> both{1, 1};
   const Rows<const bool> cases{reinterpret_cast<const bool*>(both.data()), 1, lidars};
   std::vector<std::int64_t> numbers(trials);
@@ -239,10 +239,10 @@ void evaluate(const placement::Grid& grid, const placement::Obstacles& obstacles
       std::int64_t next_source = 0;
       std::vector<double> cost(trials);
       std::vector<std::int64_t> refuted_by(trials), found(trials * certificates);
-      std::vector<placement::Links> links(trials * lidars * rows);
-      std::vector<placement::Word> clear(limited ? trials * lidars * rows : 0);
-      const placement::BatchResult result{cost, refuted_by, {found.data(), trials, certificates}, {}, {}};
-      const placement::Sources sources{numbers,
+      std::vector<vsr::Links> links(trials * lidars * rows);
+      std::vector<vsr::Word> clear(limited ? trials * lidars * rows : 0);
+      const vsr::BatchResult result{cost, refuted_by, {found.data(), trials, certificates}, {}, {}};
+      const vsr::Sources sources{numbers,
                                        placed,
                                        all,
                                        none,
@@ -251,7 +251,7 @@ void evaluate(const placement::Grid& grid, const placement::Obstacles& obstacles
       std::vector<std::thread> team;
       for (int n = 0; n < workers; ++n) {
         team.emplace_back([&] {
-          placement::TrialEvaluator evaluator(grid, cases, certificates);
+          vsr::TrialEvaluator evaluator(grid, cases, certificates);
           evaluator.evaluate_batch({&next, 1}, trials, batch, true, result);
           evaluator.recompute_links({&next_source, 1}, trials, sources);
         });
@@ -266,7 +266,7 @@ void evaluate(const placement::Grid& grid, const placement::Obstacles& obstacles
 }
 
 /// Threads share what is known of returns.
-void know_returns(const placement::Obstacles& obstacles) {
+void know_returns(const vsr::Obstacles& obstacles) {
   constexpr Index phases = 4;
   constexpr double step_rad = turn / 360 / phases;
   std::vector<double> cos_head, sin_head;
@@ -379,8 +379,8 @@ int main() {
   trace_firings(scene, bodies, simulate::wide);
   const world::Bvh hood = soup(30, 2.0);
   const std::vector<double> boxes = world::boxes_of(hood);
-  const placement::Obstacles obstacles{&hood, {boxes.data(), 6, world::shadow_boxes}, {35, 6, 0}, -inf};
-  const placement::Grid grid = make_grid();
+  const vsr::Obstacles obstacles{&hood, {boxes.data(), 6, world::shadow_boxes}, {35, 6, 0}, -inf};
+  const vsr::Grid grid = make_grid();
   evaluate(grid, obstacles, false);
   evaluate(grid, obstacles, true);
   know_returns(obstacles);

@@ -3,7 +3,7 @@
 import itertools
 import math
 
-from tests.naive import placement as naive
+from tests.naive import vsr as naive
 
 
 def subspaces(region, lidars):

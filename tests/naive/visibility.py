@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tests.naive.placement import base_n, breadth_first, centres, digit, local, vsr
+from tests.naive.vsr import base_n, breadth_first, centres, digit, local, vsr
 
 ENDS = 1e-9  # of a segment's length: a surface this near to either end is at the end
 

@@ -12,7 +12,7 @@ from lidarcfg.search.front import FrontRun, front, on_front, required_growth
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.study.study import load_study, with_solver
-from tests.naive import placement as naive
+from tests.naive import vsr as naive
 from tests.studies import study_of
 
 REGION = "region: {min_m: [0, 0, 0], max_m: [8, 6, 3], cuboid_m: [1, 0.5, 0.5]}\n"

@@ -17,8 +17,8 @@ from lidarcfg.study.evaluation import changes_m, robustness
 from lidarcfg.study.study import load_study, with_solver
 from lidarcfg.vsr.subspaces import Links
 from lidarcfg.vsr.zones import weights
-from tests.naive import placement as naive_placement
 from tests.naive import robust as naive
+from tests.naive import vsr as naive_vsr
 from tests.refusals import refused
 from tests.studies import study_of
 
@@ -45,7 +45,7 @@ def study(tmp_path, more="", text=STUDY):
 def lidars(loaded, poses):
     """As the plain loops take them."""
     return [
-        (row[:3], naive_placement.matrix(row[3:]), sorted(slot.sensor.beams.elevation_deg))
+        (row[:3], naive_vsr.matrix(row[3:]), sorted(slot.sensor.beams.elevation_deg))
         for row, slot in zip(poses.tolist(), loaded.slots, strict=True)
     ]
 
@@ -247,9 +247,9 @@ def test_a_lidar_turns_about_its_own_axes(rpy_deg):
     pose = np.array([[1, 2, 3, *np.radians(rpy_deg)]])
     error = np.array([[0.1, 0.2, 0.3, 0.01, -0.02, 0.03]])
     moved = mounted(pose, error)[0]
-    expected = naive_placement.times(naive_placement.matrix(pose[0, 3:]), naive_placement.matrix(error[0, 3:]))
+    expected = naive_vsr.times(naive_vsr.matrix(pose[0, 3:]), naive_vsr.matrix(error[0, 3:]))
     assert moved[:3].tolist() == pytest.approx([1.1, 2.2, 3.3])
-    assert np.array(naive_placement.matrix(moved[3:])) == pytest.approx(np.array(expected), abs=1e-7)
+    assert np.array(naive_vsr.matrix(moved[3:])) == pytest.approx(np.array(expected), abs=1e-7)
     error[0, 3:] = 0
     assert (mounted(pose, error)[0, 3:] == pose[0, 3:]).all()
 

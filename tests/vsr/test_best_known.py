@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from lidarcfg.study.study import load_study
-from tests.naive import placement as naive
+from tests.naive import vsr as naive
 
 ROOT = Path(__file__).parents[2]
 KNOWN = json.loads((ROOT / "data/reference/best_known.json").read_text())

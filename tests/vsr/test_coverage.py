@@ -12,7 +12,7 @@ from lidarcfg.vsr.cones import lidar
 from lidarcfg.vsr.detection import DetectionObject, detection, detection_by_distance, from_point
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import segment
-from tests.naive import placement as naive
+from tests.naive import vsr as naive
 
 ROOT = Path(__file__).parents[2]
 ELEVATION_DEG = [-20, -7, 3, 15]

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.core import placement as core
+from lidarcfg.core import vsr as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.vsr.cones import lidar
 from lidarcfg.vsr.detection import DetectionObject, detection
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import segment
-from tests.naive import placement as naive
+from tests.naive import vsr as naive
 
 REGION = Region.from_boxes((0, 0, 0), (6, 4, 2), (0.5, 0.5, 0.25), (((2, 1, 0), (3, 2, 1)),))
 SPACES = segment(

@@ -12,8 +12,8 @@ from lidarcfg.vsr.cones import Lidar, cone_rows, gaps_at
 from lidarcfg.vsr.metric import vsr_m
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import beam_gaps, check_grid, compare_labels, connect, grid_of, segment
-from tests.core.test_placement import cost_of
-from tests.naive import placement as naive
+from tests.core.test_vsr import cost_of
+from tests.naive import vsr as naive
 
 FAN = np.arange(-15.0, 16.0, 2.0)
 UNIT = tuple(tuple(sign * row) for sign in (1.0, -1.0) for row in np.eye(3))

@@ -10,7 +10,7 @@ from lidarcfg.vsr.cones import lidar
 from lidarcfg.vsr.metric import vsr_m
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import segment
-from tests.naive import placement as naive
+from tests.naive import vsr as naive
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "data/reference/liu2018.json").read_text())
 ROWS = REFERENCE["rows"]

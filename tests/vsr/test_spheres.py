@@ -9,7 +9,7 @@ from lidarcfg import inputs
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.study import spheres
 from lidarcfg.vsr.spheres import clearance_m, largest_spheres
-from tests.naive import placement as naive
+from tests.naive import vsr as naive
 from tests.vsr.test_metric import bodies as bodies_in_blobs
 from tests.vsr.test_subspace import EDGES, bodies, cells
 

@@ -12,7 +12,7 @@ from lidarcfg.vsr.metric import extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.spheres import largest_spheres
 from lidarcfg.vsr.subspaces import Labels, beam_gaps, connect, grid_of, segment
-from tests.naive import placement as naive
+from tests.naive import vsr as naive
 
 EDGES = (0.8, 0.5, 0.25)
 FAN = (-20.0, -5.0, 4.0, 30.0)

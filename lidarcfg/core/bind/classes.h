@@ -11,10 +11,10 @@ class Decoder;
 }
 }  // namespace packets
 
-namespace placement {
+namespace vsr {
 class Grid;
 class TrialEvaluator;
-}  // namespace placement
+}  // namespace vsr
 
 namespace returns {
 class KnownReturns;
@@ -38,9 +38,9 @@ constexpr bool is_bound<packets::BlockDecoder<Maker>> = true;
 template <>
 constexpr bool is_bound<packets::hesai::Decoder> = true;
 template <>
-constexpr bool is_bound<placement::Grid> = true;
+constexpr bool is_bound<vsr::Grid> = true;
 template <>
-constexpr bool is_bound<placement::TrialEvaluator> = true;
+constexpr bool is_bound<vsr::TrialEvaluator> = true;
 template <>
 constexpr bool is_bound<returns::KnownReturns> = true;
 template <>

@@ -1,4 +1,4 @@
-#include "placement/detection.h"
+#include "vsr/detection.h"
 
 #include <algorithm>
 
@@ -7,7 +7,7 @@
 
 namespace lidarcfg::bind {
 
-using namespace placement;
+using namespace vsr;
 
 namespace {
 

@@ -16,7 +16,7 @@ NB_MODULE(LIDARCFG_MODULE, module) {
   add("simulate", &bind_simulate);
   add("packets", &bind_packets);
   add("ouster", &bind_ouster);
-  add("placement", &bind_placement);
+  add("vsr", &bind_vsr);
   add("visibility", &bind_visibility);
   add("returns", &bind_returns);
 }

@@ -11,7 +11,7 @@ void bind_world(nanobind::module_& module);
 void bind_simulate(nanobind::module_& module);
 void bind_packets(nanobind::module_& module);
 void bind_ouster(nanobind::module_& module);
-void bind_placement(nanobind::module_& module);
+void bind_vsr(nanobind::module_& module);
 void bind_visibility(nanobind::module_& module);
 void bind_detection(nanobind::module_& module);
 void bind_returns(nanobind::module_& module);

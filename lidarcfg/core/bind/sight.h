@@ -2,7 +2,7 @@
 #pragma once
 
 #include "bind/arguments.h"
-#include "placement/visibility.h"
+#include "vsr/visibility.h"
 
 namespace lidarcfg::bind {
 
@@ -14,8 +14,8 @@ struct Fields<world::Obstacles> {
 };
 
 template <>
-struct Fields<placement::Sight> {
-  using S = placement::Sight;
+struct Fields<vsr::Sight> {
+  using S = vsr::Sight;
   static constexpr auto members = fields(field("limits", &S::limits), field("obstacles", &S::obstacles));
 };
 
@@ -25,8 +25,8 @@ inline void check_obstacles(const world::Obstacles& obstacles, const char* messa
 }
 
 /// What of a sight can be wrong, for `lidars` LiDARs.
-inline void check_sight(const placement::Sight& sight, Index lidars) {
-  require(sight.limits.columns() == placement::limit_columns, "sight.limits: nine columns");
+inline void check_sight(const vsr::Sight& sight, Index lidars) {
+  require(sight.limits.columns() == vsr::limit_columns, "sight.limits: nine columns");
   require(!sight.limited() || sight.limits.rows() >= lidars, "sight.limits: a row for each LiDAR, or none");
   check_obstacles(sight.obstacles, "sight.obstacles.boxes: neither (6, 16) nor (6, 0)");
 }

@@ -1,21 +1,21 @@
-#include "placement/visibility.h"
+#include "vsr/visibility.h"
 
 #include "bind/arguments.h"
 #include "bind/modules.h"
 #include "bind/sight.h"
-#include "placement/columns.h"
+#include "vsr/columns.h"
 
 namespace lidarcfg::bind {
 
 template <>
-struct Fields<placement::Span> {
-  using S = placement::Span;
+struct Fields<vsr::Span> {
+  using S = vsr::Span;
   static constexpr auto members = fields(field("low", &S::low), field("high", &S::high));
 };
 
 namespace {
 
-using placement::Labels;
+using vsr::Labels;
 
 template <class T>
 bool has_shape(const Tables<T>& lines, Index tables, Index rows, Index columns) {
@@ -39,7 +39,7 @@ void bind_columns(nb::module_& module) {
         for (Index axis = 0; axis < 3; ++axis) {
           require(cells(axis, 0) >= 0 && cells(axis, 1) <= shape[axis], "cells: outside label");
         }
-        placement::mark_subspaces(label, cells, found);
+        vsr::mark_subspaces(label, cells, found);
       },
       "Mark the subspaces that have a cuboid in a box.", "label", "cells", "found");
   def(
@@ -50,16 +50,16 @@ void bind_columns(nb::module_& module) {
         for (const std::int64_t row : row_of) {
           require(row < x.tables(), "row_of: beyond the rows of x");
         }
-        placement::count_lines(label, row_of, x, y, z);
+        vsr::count_lines(label, row_of, x, y, z);
       },
       "Count the cuboids of subspaces on lines along x, y and z.", "label", "row_of", "x", "y", "z");
   def(
       module, "widen_spans",
-      [](Labels label, Rows<const std::int64_t> gap, std::int64_t blind, placement::Span x, placement::Span y,
-         placement::Span z) {
+      [](Labels label, Rows<const std::int64_t> gap, std::int64_t blind, vsr::Span x, vsr::Span y,
+         vsr::Span z) {
         check_lines(label, gap.columns(), x.low, y.low, z.low);
         check_lines(label, gap.columns(), x.high, y.high, z.high);
-        placement::widen_spans(label, gap, blind, x, y, z);
+        vsr::widen_spans(label, gap, blind, x, y, z);
       },
       "Widen the spans of lines along x, y and z by the gaps of what lies on them.", "label", "gap", "blind", "x", "y",
       "z");

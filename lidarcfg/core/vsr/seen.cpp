@@ -1,6 +1,6 @@
-#include "placement/seen.h"
+#include "vsr/seen.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 void find_seen(const Grid& grid, Index lidar, Rows<const double> cones, const Sight& sight, VisibilityCache& cache,
                View<Word> seen) {
@@ -20,4 +20,4 @@ void find_seen(const Grid& grid, Index lidar, Rows<const double> cones, const Si
   }
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

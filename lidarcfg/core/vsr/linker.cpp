@@ -1,8 +1,8 @@
-#include "placement/linker.h"
+#include "vsr/linker.h"
 
 #include <algorithm>
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 namespace {
 
 /// Write which centres of a row lie at or above each beam, of which there are an even number.
@@ -108,4 +108,4 @@ void Linker::cut(const Cones& lidar, View<const Word> seen, View<Links> links) {
   }
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

@@ -10,7 +10,7 @@
 
 #include "views.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 /// A LiDAR, laid over a row of at least `first_beam` numbers: position, axis, and u_k of every beam.
 struct Cones {
@@ -46,4 +46,4 @@ Index beam_gap(const Vec3& point, const Cones& lidar);
 /// @param lidars  rows of `Cones`
 void beam_gaps(View<const Vec3> points, Rows<const double> lidars, Rows<std::int64_t> out);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

@@ -1,11 +1,11 @@
-#include "placement/worst.h"
+#include "vsr/worst.h"
 
 #include <algorithm>
 #include <cmath>
 
 #include "maths.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 namespace {
 
 constexpr double surely = 1e-9;  // how much larger than a sum another one must be that rounding has no part in it
@@ -126,4 +126,4 @@ bool find_worst(const Grid& grid, View<const Links> links, double bound, double 
   return false;
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

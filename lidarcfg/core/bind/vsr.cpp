@@ -1,36 +1,36 @@
 #include "bind/arguments.h"
 #include "bind/modules.h"
 #include "bind/sight.h"
-#include "placement/components.h"
-#include "placement/cones.h"
-#include "placement/evaluator.h"
-#include "placement/grid.h"
-#include "placement/linker.h"
-#include "placement/seen.h"
+#include "vsr/components.h"
+#include "vsr/cones.h"
+#include "vsr/evaluator.h"
+#include "vsr/grid.h"
+#include "vsr/linker.h"
+#include "vsr/seen.h"
 
 namespace lidarcfg::bind {
 
 template <>
-struct Columns<placement::Links> {
-  using Element = placement::Word;
+struct Columns<vsr::Links> {
+  using Element = vsr::Word;
   static constexpr Index count = 3;
 };
 template <>
-struct Columns<const placement::Links> {
-  using Element = const placement::Word;
+struct Columns<const vsr::Links> {
+  using Element = const vsr::Word;
   static constexpr Index count = 3;
 };
 
 template <>
-struct Fields<placement::Placed> {
-  using P = placement::Placed;
+struct Fields<vsr::Placed> {
+  using P = vsr::Placed;
   static constexpr auto members =
       fields(field("cones", &P::cones), field("limits", &P::limits), field("obstacles", &P::obstacles));
 };
 
 template <>
-struct Fields<placement::Batch> {
-  using B = placement::Batch;
+struct Fields<vsr::Batch> {
+  using B = vsr::Batch;
   static constexpr auto members =
       fields(field("placed", &B::placed), field("upper_bound", &B::upper_bound), field("moved", &B::moved),
              field("source", &B::source), field("certificates", &B::certificates), field("links", &B::links),
@@ -38,16 +38,16 @@ struct Fields<placement::Batch> {
 };
 
 template <>
-struct Fields<placement::BatchResult> {
-  using R = placement::BatchResult;
+struct Fields<vsr::BatchResult> {
+  using R = vsr::BatchResult;
   static constexpr auto members =
       fields(field("cost", &R::cost), field("refuted_by", &R::refuted_by), field("certificates", &R::certificates),
              field("links", &R::links), field("clear", &R::clear));
 };
 
 template <>
-struct Fields<placement::Sources> {
-  using S = placement::Sources;
+struct Fields<vsr::Sources> {
+  using S = vsr::Sources;
   static constexpr auto members =
       fields(field("row", &S::row), field("placed", &S::placed), field("changed", &S::changed),
              field("same_position", &S::same_position), field("links", &S::links), field("clear", &S::clear));
@@ -55,7 +55,7 @@ struct Fields<placement::Sources> {
 
 namespace {
 
-using namespace placement;
+using namespace vsr;
 
 void check_cones(Rows<const double> cones) {
   require(cones.columns() >= Cones::first_beam, "cones: at least six columns");
@@ -182,7 +182,7 @@ std::tuple<std::vector<std::int64_t>, Array<std::int64_t, 2>, std::vector<std::i
 
 }  // namespace
 
-void bind_placement(nb::module_& module) {
+void bind_vsr(nb::module_& module) {
   nb::class_<Grid> grid(module, "Grid", "A region as rows of bits; it does not change.");
   init(
       grid,

@@ -1,4 +1,4 @@
-#include "placement/detection.h"
+#include "vsr/detection.h"
 
 #include <algorithm>
 #include <bit>
@@ -7,7 +7,7 @@
 #include "maths.h"
 #include "simd.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 namespace {
 
 using Labels = Tables<const std::int32_t>;
@@ -307,4 +307,4 @@ BoxCounts detected_boxes(Labels labels, const Vec3& low, const Vec3& edge, View<
   return out;
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

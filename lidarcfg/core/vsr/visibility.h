@@ -7,7 +7,7 @@
 #include "world/obstacles.h"
 #include "world/shadow.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 using Word = std::uint64_t;  // a bit for each of 64 cuboids along x
 
@@ -85,4 +85,4 @@ class VisibilityCache {
   world::ShadowCaster shadows_;
 };
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

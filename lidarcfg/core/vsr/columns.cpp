@@ -1,9 +1,9 @@
-#include "placement/columns.h"
+#include "vsr/columns.h"
 
 #include <algorithm>
 #include <stdexcept>
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 namespace {
 
 /// The first cuboid up a column from k that is not of the same subspace.
@@ -98,4 +98,4 @@ void widen_spans(const Labels& label, Rows<const std::int64_t> gap, std::int64_t
   }
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

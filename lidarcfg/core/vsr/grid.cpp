@@ -1,9 +1,9 @@
-#include "placement/grid.h"
+#include "vsr/grid.h"
 
 #include <stdexcept>
 #include <vector>
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 namespace {
 
 void require(bool holds, const char* message) {
@@ -64,4 +64,4 @@ Grid::Grid(View<const double> x, View<const double> y, View<const double> z, Vie
   arrays_ = std::move(arrays);
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

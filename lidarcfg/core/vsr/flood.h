@@ -3,11 +3,11 @@
 
 #include <vector>
 
-#include "placement/cones.h"
-#include "placement/grid.h"
-#include "placement/visibility.h"
+#include "vsr/cones.h"
+#include "vsr/grid.h"
+#include "vsr/visibility.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 /// What separates cuboids: missing links, and the cones of LiDARs whose links are not computed.
 struct Barriers {
@@ -82,4 +82,4 @@ class Flooder {
   Index compared_rows_ = 0;
 };
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

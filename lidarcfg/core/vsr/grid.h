@@ -8,7 +8,7 @@
 
 #include "views.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 using Word = std::uint64_t;  // a bit for each cuboid of a row
 constexpr Word all_bits = ~Word{0};
@@ -86,4 +86,4 @@ class Grid {
   std::shared_ptr<const Arrays> arrays_;
 };
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

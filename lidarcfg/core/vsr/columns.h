@@ -6,7 +6,7 @@
 
 #include "views.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 using Labels = Tables<const std::int32_t>;
 using Lines = Tables<std::int32_t>;
@@ -34,4 +34,4 @@ struct Span {
 void widen_spans(const Labels& label, Rows<const std::int64_t> gap, std::int64_t blind, const Span& x, const Span& y,
                  const Span& z);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

@@ -1,11 +1,11 @@
 /// The centres of a row of cuboids against a LiDAR's cones.
 #pragma once
 
-#include "placement/cones.h"
-#include "placement/grid.h"
+#include "vsr/cones.h"
+#include "vsr/grid.h"
 #include "simd.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 /// What the signed squares of 64 centres along x have in common, whatever their y and z.
 ///
@@ -73,4 +73,4 @@ class RowSquares {
   alignas(64) double distance_[row_size];
 };
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

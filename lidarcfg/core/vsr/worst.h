@@ -3,9 +3,9 @@
 
 #include <vector>
 
-#include "placement/flood.h"
+#include "vsr/flood.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 /// Some subspaces of the largest values, descending, each by a cuboid in it. A subspace's value is its volume to
 /// surface in metres, times its weight where cuboids have weights.
@@ -43,4 +43,4 @@ class WorstList {
 bool find_worst(const Grid& grid, View<const Links> links, double bound, double smoothing, Index first,
                 Flooder& flooder, WorstList& worst);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

@@ -1,10 +1,10 @@
-#include "placement/components.h"
+#include "vsr/components.h"
 
 #include <algorithm>
 
-#include "placement/flood.h"
+#include "vsr/flood.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 namespace {
 
 constexpr Index scan_interval = 4;  // layers along x, after which it is looked anew where something is left
@@ -56,4 +56,4 @@ Components label_components(const Grid& grid, View<const Links> links, Tables<st
   return out;
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

@@ -6,7 +6,7 @@
 
 #include "views.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 /// Places of a box of whole cuboids, by its lowest cuboid along x and y, summed over its layers.
 struct PlaceCounts {
@@ -45,4 +45,4 @@ struct BoxCounts {
 BoxCounts detected_boxes(Tables<const std::int32_t> labels, const Vec3& low, const Vec3& edge,
                          View<const std::array<double, 4>> boxes, const Vec3& size, Index threshold);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

@@ -1,10 +1,10 @@
-#include "placement/visibility.h"
+#include "vsr/visibility.h"
 
 #include <algorithm>
 
 #include "simd.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 namespace {
 
 using simd::Doubles;
@@ -118,4 +118,4 @@ Word VisibilityCache::seen_of_row(Index lidar, Index row, const Centres& centres
   return wanted & clear_[lidar * rows_ + row] & in_field(centres, cones[lidar], sight.limits[lidar]);
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

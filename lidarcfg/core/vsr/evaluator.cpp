@@ -1,13 +1,13 @@
-#include "placement/evaluator.h"
+#include "vsr/evaluator.h"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
 #include "parallel.h"
-#include "placement/seen.h"
+#include "vsr/seen.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 namespace {
 
 constexpr double inf = std::numeric_limits<double>::infinity();
@@ -291,4 +291,4 @@ void promote_certificates(Rows<std::int64_t> certificates, View<const std::int64
   }
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

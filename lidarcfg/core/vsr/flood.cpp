@@ -1,11 +1,11 @@
-#include "placement/flood.h"
+#include "vsr/flood.h"
 
 #include <limits>
 
-#include "placement/row_squares.h"
-#include "placement/seen.h"
+#include "vsr/row_squares.h"
+#include "vsr/seen.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 namespace {
 
 /// The cuboids of a row that links along x join to some of them.
@@ -231,4 +231,4 @@ double Flooder::weight() const {
   return grid_.weight.back();
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

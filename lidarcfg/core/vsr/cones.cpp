@@ -1,6 +1,6 @@
-#include "placement/cones.h"
+#include "vsr/cones.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 Index beam_gap(const Vec3& point, const Cones& lidar) {
   const SignedSquares squares = signed_squares(point[0] - lidar.position[0], point[1] - lidar.position[1],
@@ -26,4 +26,4 @@ void beam_gaps(View<const Vec3> points, Rows<const double> lidars, Rows<std::int
   }
 }
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

@@ -3,9 +3,9 @@
 
 #include <vector>
 
-#include "placement/grid.h"
+#include "vsr/grid.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 /// Subspaces in the raster order of their first cuboids.
 struct Components {
@@ -20,4 +20,4 @@ struct Components {
 /// @param label  (nx, ny, nz) the number of each cuboid's subspace, −1 where it does not count; is written
 Components label_components(const Grid& grid, View<const Links> links, Tables<std::int32_t> label);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

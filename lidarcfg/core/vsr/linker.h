@@ -7,11 +7,11 @@
 
 #include <vector>
 
-#include "placement/cones.h"
-#include "placement/grid.h"
-#include "placement/row_squares.h"
+#include "vsr/cones.h"
+#include "vsr/grid.h"
+#include "vsr/row_squares.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 /// Computes links, one LiDAR after another.
 class Linker {
@@ -36,4 +36,4 @@ class Linker {
   Index guess_ = 0;            // a beam that passes near the last row
 };
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

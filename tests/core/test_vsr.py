@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.core import placement, visibility, world
+from lidarcfg.core import visibility, vsr, world
 
 NO_INDEX = np.empty(0, np.int32)
 NO_TREE = world.Bvh(np.empty((0, 9)), np.empty(0, np.uint8), NO_INDEX, NO_INDEX)
@@ -26,7 +26,7 @@ def pack(flags):
 def grid_of(flags, weight=(), weighted=None):
     centres = [np.arange(n) + 0.5 for n in flags.shape]
     words = np.zeros((0, len(pack(flags))), np.uint64) if weighted is None else weighted
-    return placement.Grid(*centres, pack(flags), (1.0, 1.0, 1.0), np.array(weight, float), words)
+    return vsr.Grid(*centres, pack(flags), (1.0, 1.0, 1.0), np.array(weight, float), words)
 
 
 def cones(*lidars):
@@ -36,7 +36,7 @@ def cones(*lidars):
 
 def links_of(grid, rows, seen=None):
     out = np.empty((grid.rows, 3), np.uint64)
-    placement.links(grid, rows, np.empty((0, grid.rows), np.uint64) if seen is None else seen, out)
+    vsr.links(grid, rows, np.empty((0, grid.rows), np.uint64) if seen is None else seen, out)
     return out
 
 
@@ -73,7 +73,7 @@ def batch_of(grid, trials, **changes):
 
 
 def evaluator_of(grid, cases=((True,),)):
-    return placement.TrialEvaluator(grid, np.array(cases), 4)
+    return vsr.TrialEvaluator(grid, np.array(cases), 4)
 
 
 def cost_of(grid, rows):
@@ -86,13 +86,13 @@ def cost_of(grid, rows):
 def test_a_level_beam_cuts_a_block_in_two():
     grid = grid_of(np.ones((3, 3, 2), bool))
     label = np.empty((3, 3, 2), np.int32)
-    cuboids, internal, first = placement.label_components(grid, links_of(grid, LEVEL), label)
+    cuboids, internal, first = vsr.label_components(grid, links_of(grid, LEVEL), label)
     assert label.tolist() == [[[0, 1]] * 3] * 3
     assert cuboids.tolist() == [9, 9]
     assert internal.tolist() == [[6, 6, 0]] * 2
     assert first.tolist() == [0, 1]
     assert cost_of(grid, LEVEL) == 9 / 30
-    assert placement.beam_gaps(np.array([[0, 0, 0.5], [0, 0, 1.0], [1.5, 1.5, 1.0]]), LEVEL).tolist() == [[0], [1], [1]]
+    assert vsr.beam_gaps(np.array([[0, 0, 0.5], [0, 0, 1.0], [1.5, 1.5, 1.0]]), LEVEL).tolist() == [[0], [1], [1]]
 
 
 def test_nothing_is_cut_without_lidars_and_nothing_counts_where_all_is_excluded():
@@ -102,7 +102,7 @@ def test_nothing_is_cut_without_lidars_and_nothing_counts_where_all_is_excluded(
     nothing = grid_of(np.zeros((3, 2, 1), bool))
     assert cost_of(nothing, LEVEL) == -1.0
     label = np.empty((3, 2, 1), np.int32)
-    assert [len(one) for one in placement.label_components(nothing, links_of(nothing, LEVEL), label)] == [0, 0, 0]
+    assert [len(one) for one in vsr.label_components(nothing, links_of(nothing, LEVEL), label)] == [0, 0, 0]
     assert (label == -1).all()
 
 
@@ -120,10 +120,10 @@ def test_a_range_is_a_border():
     rows = cones(((0.0, 0.5, 1.0), 0.0))
     limits = np.zeros((1, 9))
     limits[0, 1] = 4.0
-    seen = placement.seen(grid, rows, sight(limits))
+    seen = vsr.seen(grid, rows, sight(limits))
     assert seen[0][seen[0] > 0].tolist() == [0b11, 0b11]
     label = np.empty((4, 1, 2), np.int32)
-    placement.label_components(grid, links_of(grid, rows, seen), label)
+    vsr.label_components(grid, links_of(grid, rows, seen), label)
     assert label[:, 0].tolist() == [[0, 1], [0, 1], [2, 2], [2, 2]]
 
 
@@ -136,7 +136,7 @@ def test_links_are_equal_gaps_of_neighbours(nx, ny, nz, seed):
     u = np.sort(rng.uniform(-0.3, 0.3, rng.integers(1, 6)))
     rows = cones((rng.uniform(0, 3, 3), *u), (rng.uniform(0, 3, 3), *u))
     points = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in flags.shape), indexing="ij"), -1).reshape(-1, 3)
-    gaps = placement.beam_gaps(points, rows).reshape(*flags.shape, 2)
+    gaps = vsr.beam_gaps(points, rows).reshape(*flags.shape, 2)
     expected = []
     for axis in range(3):
         alike = flags.copy()
@@ -202,7 +202,7 @@ def test_counters_of_what_is_no_trial():
 
 def test_what_refuted_comes_first():
     certificates = np.array([[5, 6, 7], [1, 2, 3]])
-    placement.promote_certificates(certificates, np.array([0, 1, 9]), np.array([7, 4, -1]))
+    vsr.promote_certificates(certificates, np.array([0, 1, 9]), np.array([7, 4, -1]))
     assert certificates.tolist() == [[7, 5, 6], [4, 1, 2]]
 
 
@@ -213,24 +213,24 @@ def test_what_does_not_fit_is_refused():
     words = pack(flags)
     none = np.empty((0, len(words)), np.uint64)
     for what, make in {
-        "x: empty": lambda: placement.Grid(np.empty(0), one, one, words, (1, 1, 1), np.empty(0), none),
-        "included: one word": lambda: placement.Grid(one, one, one, words, (1, 1, 1), np.empty(0), none),
-        "margin": lambda: placement.Grid(one, one, one, np.full(9, 1, np.uint64), (1, 1, 1), np.empty(0), none[:, :9]),
+        "x: empty": lambda: vsr.Grid(np.empty(0), one, one, words, (1, 1, 1), np.empty(0), none),
+        "included: one word": lambda: vsr.Grid(one, one, one, words, (1, 1, 1), np.empty(0), none),
+        "margin": lambda: vsr.Grid(one, one, one, np.full(9, 1, np.uint64), (1, 1, 1), np.empty(0), none[:, :9]),
         "weighted: one row": lambda: grid_of(flags, (1.0,)),
         "cones: at least six": lambda: links_of(grid, np.zeros((1, 5))),
         "seen: a word": lambda: links_of(grid, LEVEL, np.zeros((1, 3), np.uint64)),
-        "out: float64 of shape": lambda: placement.links(grid, LEVEL, none, np.zeros((grid.rows, 3))),
-        "label: of the grid's": lambda: placement.label_components(grid, links_of(grid, LEVEL), np.empty((1, 1, 1), np.int32)),
-        "links: for each row": lambda: placement.label_components(grid, links_of(grid, LEVEL)[1:], np.empty((3, 3, 2), np.int32)),
-        "links: not of neighbours": lambda: placement.label_components(grid, np.full((grid.rows, 3), 2**64 - 1, np.uint64), np.empty((3, 3, 2), np.int32)),
-        "nine columns": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 8)))),
-        "a row for each LiDAR": lambda: placement.seen(grid, np.repeat(LEVEL, 2, 0), sight(np.zeros((1, 9)))),
-        "boxes": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 9)), boxes=np.zeros((6, 3)))),
-        "tree": lambda: placement.seen(grid, LEVEL, sight(np.zeros((1, 9)), tree=None)),
-        "cases: none": lambda: placement.TrialEvaluator(grid, np.empty((0, 1), bool), 4),
-        "certificates: not from 1": lambda: placement.TrialEvaluator(grid, np.ones((1, 1), bool), 2**31),
-        "certificates: no columns": lambda: placement.promote_certificates(np.empty((1, 0), np.int64), np.array([0]), np.array([0])),
-        "source: not a row": lambda: placement.promote_certificates(np.array([[1]]), np.array([1]), np.array([0])),
+        "out: float64 of shape": lambda: vsr.links(grid, LEVEL, none, np.zeros((grid.rows, 3))),
+        "label: of the grid's": lambda: vsr.label_components(grid, links_of(grid, LEVEL), np.empty((1, 1, 1), np.int32)),
+        "links: for each row": lambda: vsr.label_components(grid, links_of(grid, LEVEL)[1:], np.empty((3, 3, 2), np.int32)),
+        "links: not of neighbours": lambda: vsr.label_components(grid, np.full((grid.rows, 3), 2**64 - 1, np.uint64), np.empty((3, 3, 2), np.int32)),
+        "nine columns": lambda: vsr.seen(grid, LEVEL, sight(np.zeros((1, 8)))),
+        "a row for each LiDAR": lambda: vsr.seen(grid, np.repeat(LEVEL, 2, 0), sight(np.zeros((1, 9)))),
+        "boxes": lambda: vsr.seen(grid, LEVEL, sight(np.zeros((1, 9)), boxes=np.zeros((6, 3)))),
+        "tree": lambda: vsr.seen(grid, LEVEL, sight(np.zeros((1, 9)), tree=None)),
+        "cases: none": lambda: vsr.TrialEvaluator(grid, np.empty((0, 1), bool), 4),
+        "certificates: not from 1": lambda: vsr.TrialEvaluator(grid, np.ones((1, 1), bool), 2**31),
+        "certificates: no columns": lambda: vsr.promote_certificates(np.empty((1, 0), np.int64), np.array([0]), np.array([0])),
+        "source: not a row": lambda: vsr.promote_certificates(np.array([[1]]), np.array([1]), np.array([0])),
     }.items():  # fmt: skip
         with pytest.raises((TypeError, ValueError), match=what):
             make()

@@ -1,10 +1,10 @@
 /// Which cuboids of a whole grid LiDARs see.
 #pragma once
 
-#include "placement/grid.h"
-#include "placement/visibility.h"
+#include "vsr/grid.h"
+#include "vsr/visibility.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 /// The centres of a row that has cuboids that count.
 inline Centres centres_of(const Grid& grid, Index row) {
@@ -19,4 +19,4 @@ inline Centres centres_of(const Grid& grid, Index row) {
 void find_seen(const Grid& grid, Index lidar, Rows<const double> cones, const Sight& sight, VisibilityCache& cache,
                View<Word> seen);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr

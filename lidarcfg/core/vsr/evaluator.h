@@ -8,11 +8,11 @@
 
 #include <vector>
 
-#include "placement/flood.h"
-#include "placement/linker.h"
-#include "placement/worst.h"
+#include "vsr/flood.h"
+#include "vsr/linker.h"
+#include "vsr/worst.h"
 
-namespace lidarcfg::placement {
+namespace lidarcfg::vsr {
 
 /// LiDARs at poses.
 struct Placed {
@@ -127,4 +127,4 @@ class TrialEvaluator {
 void promote_certificates(Rows<std::int64_t> certificates, View<const std::int64_t> source,
                           View<const std::int64_t> refuted_by);
 
-}  // namespace lidarcfg::placement
+}  // namespace lidarcfg::vsr
