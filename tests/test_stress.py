@@ -20,6 +20,7 @@ from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.search.optimize import optimize
 from lidarcfg.search.run import Budget, SearchRun
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.solvers import SOLVERS
 from lidarcfg.solvers.bee_colony import BeeColony
 from lidarcfg.solvers.search import of_objectives
 from lidarcfg.study.evaluator import Evaluator
@@ -33,7 +34,7 @@ from lidarcfg.vsr.subspaces import beam_gaps, segment
 from tests import oracle
 from tests.capture_fixtures import PLY, datagrams_of, mount, no_warning, room, scene
 from tests.packets.velodyne.shaped import decode, firings, packet_period_ns, rays
-from tests.search.solvers.test_solvers import SOLVERS
+from tests.search.solvers.test_solvers import begun
 from tests.vsr.test_grid import check
 
 ROOT = Path(__file__).parents[1]
@@ -324,7 +325,7 @@ solver: {{method: {method}, evaluations: 500, seed: 3{', bees: 10, limit: 5' if 
 @pytest.mark.parametrize("wrong", [math.nan, -math.inf])
 def test_what_is_no_cost_is_an_error(name, wrong):
     for phases in (0, 3):
-        solver = SOLVERS[name](2, 1)
+        solver = begun(name, 2, 1)
         for _ in range(phases):
             solver.tell(of_objectives(np.arange(1.0, len(solver.ask().x) + 1)))
         cost = np.ones(len(solver.ask().x))
@@ -356,7 +357,7 @@ def test_nan_from_an_objective_is_no_result(tmp_path, objective):
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("objective", ["flat", "infinite", "half infinite", "huge"])
 def test_objectives_without_a_slope(name, objective):
-    solver = SOLVERS[name](2, 1)
+    solver = begun(name, 2, 1)
     asked = 0
     while asked < 1500:
         x = solver.ask().x

@@ -36,14 +36,15 @@ if TYPE_CHECKING:
 QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
 
 
-class Method(click.Choice[str]):
+class Method(click.Choice):  # type: ignore[type-arg]  # the oldest click's is not generic
     """The method of a solver."""
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The method; of one that is gone, the error says what to use."""
         if value in GONE:
             self.fail(f"{value!r} {GONE[value]}.", param, ctx)
-        return super().convert(value, param, ctx)
+        method: str = super().convert(value, param, ctx)
+        return method
 
 
 @cloup.command(

@@ -173,12 +173,13 @@ def _read_ply(path: Path, **options: Any) -> Any:
     """A PLY file by plyfile, which refuses comments that are not ASCII: they are read as question marks."""
     import plyfile
 
-    try:
-        return plyfile.PlyData.read(str(path), **options)
-    except UnicodeDecodeError:
-        head, end, body = path.read_bytes().partition(b"end_header")
-        plain = head.decode("ascii", "replace").encode("ascii", "replace")
-        return plyfile.PlyData.read(BytesIO(plain + end + body), **options)
+    with np.errstate(over="ignore"):  # what is too large for its type is inf, and refused as such
+        try:
+            return plyfile.PlyData.read(str(path), **options)
+        except UnicodeDecodeError:
+            head, end, body = path.read_bytes().partition(b"end_header")
+            plain = head.decode("ascii", "replace").encode("ascii", "replace")
+            return plyfile.PlyData.read(BytesIO(plain + end + body), **options)
 
 
 def check_readable(path: Path, most: int) -> None:

@@ -5,6 +5,7 @@ import os
 import re
 import stat
 import sys
+from inspect import isabstract
 from typing import Annotated, ClassVar
 
 import pytest
@@ -174,7 +175,7 @@ def test_every_error_of_pydantic_has_a_sentence_of_ours():
     kinds = set()
     models = set().union(*map(models_in, (StudyFile, RigFile, SceneFile, Sensor, Motion)))
     for model, value in itertools.product(models, WRONG):
-        for key in model.model_fields:
+        for key in () if isabstract(model) else model.model_fields:
             try:
                 model.model_validate({key: value})
             except ValidationError as error:

@@ -8,7 +8,7 @@ from lidarcfg.search.optimize import optimize
 from lidarcfg.study.study import load_study, with_solver
 
 STUDIES = Path(__file__).parents[2] / "data/studies"
-WITHOUT_BODY = Path(__file__).parent / "studies"  # the sedan, as it was: transparent, a box excluded for it
+WITHOUT_BODY = Path(__file__).parents[1] / "search/studies"  # the sedan, as it was: transparent, a box excluded for it
 
 
 @pytest.mark.parametrize(
