@@ -32,7 +32,7 @@ vehicle:
   boxes: [{{name: cab, center_m: [0, 0, 0.75], size_m: [4, 2, 1.5], exclude: true}}]
 sensors:
   - {{elevation_deg: [-20, -8, 3, 12], count: 2, min: {{position_m: [-1.5, -0.9, 1.6], rpy_deg: [-20, -20, 0]}}, max: {{position_m: [1.5, 0.9, 2.2], rpy_deg: [20, 20, 0]}}}}
-solver: {{method: {method}, bees: 6, {budget}, seed: 3}}
+solver: {{method: {method}, {budget}, seed: 3}}
 detection: [{{name: post, size_m: [0.5, 0.5, 1], on_ground: true}}]
 objective: {objective}
 """
@@ -40,7 +40,7 @@ objective: {objective}
 
 @pytest.fixture
 def boxed(tmp_path):
-    def make(objective, method="abc", budget="cycles: 12"):
+    def make(objective, method="abc", budget="bees: 6, cycles: 12"):
         path = tmp_path / "s.yaml"
         path.write_text(BOXED.format(objective=objective, method=method, budget=budget))
         return load_study(path)
@@ -80,7 +80,7 @@ OBJECTIVES = [
 @pytest.mark.parametrize(
     ("objective", "method", "budget"),
     [
-        *((one, "abc", "cycles: 4") for one in OBJECTIVES),
+        *((one, "abc", "bees: 6, cycles: 4") for one in OBJECTIVES),
         (OBJECTIVES[0], "annealing", "evaluations: 220"),
         *(pytest.param(one, "annealing", "evaluations: 220", marks=pytest.mark.nightly) for one in OBJECTIVES[1:]),
     ],
@@ -108,7 +108,7 @@ def test_the_objective_is_what_the_evaluation_says(boxed):
 
 
 def test_the_objectives_need_something_that_limits_the_sight(tmp_path):
-    text = BOXED.format(objective="{max_vsr: 1, blind_volume: 2}", method="abc", budget="cycles: 2")
+    text = BOXED.format(objective="{max_vsr: 1, blind_volume: 2}", method="abc", budget="bees: 6, cycles: 2")
     (tmp_path / "s.yaml").write_text(text.replace("vehicle:\n  boxes:", "# "))
     with pytest.raises(ConfigError, match=r"s\.yaml:\d+:\d+: objective\.blind_volume: is the same for every rig"):
         load_study(tmp_path / "s.yaml")
