@@ -160,8 +160,13 @@ def _comparison(rigs: Sequence[SeenBy]) -> str:
     than = f"the {other.title} ({percent(other.misses.mean)})"
     if abs(less) <= half:
         return f"{said}, no better or worse than {than} as far as these places tell: {told}."
-    part = f"{abs(less) / other.misses.mean:.0%}".replace("%", " % ") if other.misses.mean else ""
+    part = _part(abs(less) / other.misses.mean) if other.misses.mean else ""
     return f"{said}, {part}{'fewer' if less > 0 else 'more'} than {than}; {told}."
+
+
+def _part(fraction: float) -> str:
+    """A fraction in per cent, and a blank; 100 % only of all."""
+    return f"{min(100 * fraction, 99.9):.1f} % " if 0.99 <= fraction < 1 else f"{100 * fraction:.0f} % "
 
 
 def _belief(study: Study, found: Placement, told: Believed) -> str:

@@ -90,6 +90,7 @@ def test_colours_at_the_stops_and_between():
         (10, 40, "This rig misses 10.00 %, 75 % fewer than the baseline (40.00 %); the difference is 30.00 ± 9.03 "),
         (40, 10, "This rig misses 40.00 %, 300 % more than the baseline (10.00 %); the difference is 30.00 ± 9.03 "),
         (10, 11, "This rig misses 10.00 %, no better or worse than the baseline (11.00 %) as far as these places tell"),
+        (1, 100, "This rig misses 1.00 %, 99.0 % fewer than the baseline (100.00 %)"),
         (0, 40, "This rig misses 0.00 %, 100 % fewer than the baseline (40.00 %)"),
         (40, 0, "This rig misses 40.00 %, more than the baseline (0.00 %)"),
     ],
