@@ -118,7 +118,7 @@ def test_what_the_family_refuses(tmp_path, columns):
 
 
 def test_the_page_shows_its_lines():
-    code = [path.read_text() for path in EXAMPLES.glob("toy/*")]
+    code = [path.read_text() for path in EXAMPLES.glob("toy/*.*")]
     page = (EXAMPLES.parent / "codec.md").read_text()
     shown = re.findall(r"^```(?:py|yaml)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
     assert len(shown) > 5

@@ -148,7 +148,9 @@ def _child(words, folder, file_bytes, kill_at, environment, encoding):
         used = resource.getrusage(resource.RUSAGE_SELF)
         busy_s = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
         with contextlib.suppress(OSError):
-            Path(".usage").write_text(f"{busy_s} {used.ru_maxrss / 1024}")
+            own = Path(f".usage-{os.getpid()}")  # two may end at once
+            own.write_text(f"{busy_s} {used.ru_maxrss / 1024}")
+            own.replace(".usage")
 
 
 def _watch(folder, kill_at):
