@@ -127,7 +127,7 @@ def test_budgets(tmp_path):
     assert optimize(with_solver(small, evaluations=21), threads=1).evaluations == 21
     assert with_solver(small, evaluations=21).solver.cycles is None
     quick = optimize(with_solver(small, seconds=0.2, cycles=10**6), threads=1)
-    assert 0.2 <= quick.seconds < 5
+    assert 0.19 <= quick.seconds < 5  # within 5 % below
     assert study(tmp_path, SMALL.replace("cycles: 6, ", "")).solver.cycles == 800
 
 
