@@ -534,15 +534,18 @@ def effort_of(job: Job, threads: int | None = None, verifier: Verifier | None = 
     with run.evaluator(threads, job.skip) as evaluator:
         while not (run.is_over(budget) or run.is_verified or (run.history and not job.evaluations)):
             run.step(evaluator, budget)
-        if run.best_cost.shortfall >= INFEASIBLE:
-            return _without_rig(job, run)
-        shortfalls = np.array(evaluator.shortfalls(study.poses(run.best_x[None])[0]))
+        keeps = run.best_cost.shortfall < INFEASIBLE  # the constraints; where none that was tried does, others may
+        shortfalls = np.array(evaluator.shortfalls(study.poses(run.best_x[None])[0])) if keeps else np.array([math.inf])
     assert study.requirements
-    screen = Screen(study.requirements)
-    screen.add_places(run.more_places)
-    seen = screen.judge(study, run.best_x[None])
-    worst = max(float(seen.worst[0]), float(np.where(seen.shortfalls[0] > 0, 0.0, shortfalls).max()))
-    items = study.requirements.items
+    worst = math.inf
+    failing: tuple[str, ...] = (CONSTRAINTS,)
+    if keeps:
+        screen = Screen(study.requirements)
+        screen.add_places(run.more_places)
+        seen = screen.judge(study, run.best_x[None])
+        worst = max(float(seen.worst[0]), float(np.where(seen.shortfalls[0] > 0, 0.0, shortfalls).max()))
+        items = study.requirements.items
+        failing = tuple(item.name for item, short in zip(items, shortfalls, strict=True) if short > 0)
     return Effort(
         log=run.log(),
         start_places=job.places,
@@ -552,25 +555,9 @@ def effort_of(job: Job, threads: int | None = None, verifier: Verifier | None = 
         x=run.best_x,
         worst=worst,
         shortfall=float(shortfalls.sum()),
-        failing=tuple(item.name for item, short in zip(items, shortfalls, strict=True) if short > 0),
+        failing=failing,
         meets=run.is_verified,
         verdict=run.verdict,
-    )
-
-
-def _without_rig(job: Job, run: RequirementsRun) -> Effort:
-    """The effort for a combination of which no rig that was tried keeps the constraints; others may."""
-    return Effort(
-        log=run.log(),
-        start_places=job.places,
-        places=run.more_places,
-        evaluations=run.evaluations if job.evaluations else 0,
-        rigs=sum(run.asked.values()),
-        x=run.best_x,
-        worst=math.inf,
-        shortfall=math.inf,
-        failing=(CONSTRAINTS,),
-        meets=False,
     )
 
 
