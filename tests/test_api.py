@@ -1,4 +1,4 @@
-"""Pages that are made of the code."""
+"""Pages and stubs that are made of the code."""
 
 import subprocess
 import sys
@@ -9,8 +9,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.parametrize("name", ["make_api", "make_keys"])
-def test_pages_are_up_to_date(name):
+@pytest.mark.parametrize("name", ["make_api", "make_keys", "make_stubs"])
+def test_what_is_made_is_up_to_date(name):
     tool = ROOT / f"tools/{name}.py"
     done = subprocess.run([sys.executable, tool, "--check"], check=False)
     assert done.returncode == 0, f"run {tool.relative_to(ROOT)}"

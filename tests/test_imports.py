@@ -7,8 +7,11 @@ import sys
 from collections import defaultdict
 from graphlib import TopologicalSorter
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+from lidarcfg import core
 
 PACKAGE = Path(__file__).parents[1] / "lidarcfg"
 # The folder listing of the package, from the ground up: each line imports only what stands above it, and itself.
@@ -55,6 +58,16 @@ def imports():
 def test_the_listing_names_what_is_there():
     there = {path.stem for path in PACKAGE.glob("*.py")} | {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert there - {"__init__", "__main__"} == set(LEVEL)
+
+
+def test_the_core_is_divided_as_the_package():
+    """A submodule, and a folder of kernels, is named as the package that it serves; `maths` is of a module."""
+    compiled = {name for name, value in vars(core.compiled).items() if isinstance(value, ModuleType)}
+    packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    assert compiled - packages == {"maths"}
+    assert {path.parent.name for path in (PACKAGE / "core").glob("*/*.cpp")} - {"bind"} == compiled - {"maths"}
+    assert {path.stem for path in (PACKAGE / "core").glob("*.pyi")} - {"__init__"} == compiled
+    assert compiled <= vars(core).keys()
 
 
 def test_imports_run_one_way():
@@ -104,7 +117,7 @@ def test_no_modules_import_each_other():
         while other not in names:  # a member of a module
             other = other.rpartition(".")[0]
         below[one] |= {other} - {one}  # the core has its modules of compiled loops
-    assert "core.visibility" in below["core.vsr"]
+    assert "core.world" in below["core.vsr"]
     assert "packets.velodyne" in below["packets.families"]
     assert "solvers.auto" in below["solvers"]
     TopologicalSorter(below).prepare()  # raises an error that lists the modules of a cycle

@@ -198,6 +198,8 @@ def _update(content: "hashlib._Hash", value: Any) -> None:
         content.update(np.ascontiguousarray(value).tobytes())
     elif isinstance(value, core.world.Bvh):
         _update(content, (value.shapes, value.kind, value.number, value.object))
+    elif isinstance(value, core.world.Obstacles):
+        _update(content, (value.tree, value.boxes, value.origin_m, value.ground_m))
     elif isinstance(value, BaseModel):
         content.update(value.model_dump_json().encode())
     elif is_dataclass(value):

@@ -63,17 +63,6 @@ def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count
 
 
 @dataclass(frozen=True)
-class SubRays:
-    """What the K rays of the beams of N firings hit, (N, K)."""
-
-    range_m: Array  # inf: nothing
-    reflectivity: NDArray[np.uint8]
-    object: NDArray[np.int32]
-    cosine: Array  # of the angle between ray and normal
-    laser: NDArray[np.uint8]  # (N,) that fired
-
-
-@dataclass(frozen=True)
 class Echoes:
     """Echoes of N firings, (N, R)."""
 
@@ -129,12 +118,12 @@ def wide_beam_echoes(
     sensor_index: int,
     first: int,
     weights: Array,
-    hits: SubRays,
+    rays: simulate.SubRays,
     candidates: Sequence[int] = CANDIDATES,
 ) -> Echoes:
     """Exact candidates (N, C) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
-    count = len(hits.range_m)
+    count = len(rays.range_m)
     alpha = extinction_per_m(weather)
     with_strongest = candidates if candidates[0] == STRONGEST else (STRONGEST, *candidates)
     extra = len(with_strongest) - len(candidates)  # columns that are computed for `strongest_m` alone
@@ -146,19 +135,17 @@ def wide_beam_echoes(
     fade = np.empty((0, 0))
     if alpha:
         droplets = np.stack(_droplets(sensor, realism, sensor_index, first, count, alpha), axis=1)
-        fade = maths.exp(-2 * alpha * np.column_stack([hits.range_m, droplets[:, :1]]))
-    found = Echoes(
+        fade = maths.exp(-2 * alpha * np.column_stack([rays.range_m, droplets[:, :1]]))
+    found = simulate.Candidates(
         range_m=np.empty((count, len(which))),
-        noise_m=np.zeros((count, len(which))),
         reflectivity=np.empty((count, len(which)), np.uint8),
         object=np.empty((count, len(which)), np.int32),
-        strongest_m=np.empty(0),
     )
     range_max_m = sensor.range.reported_m[1]
-    simulate.merge_echoes(hits, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, which, found)
+    simulate.merge_echoes(rays, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, which, found)
     return Echoes(
         range_m=np.ascontiguousarray(found.range_m[:, extra:]),
-        noise_m=np.ascontiguousarray(found.noise_m[:, extra:]),
+        noise_m=np.zeros((count, len(candidates))),
         reflectivity=np.ascontiguousarray(found.reflectivity[:, extra:]),
         object=np.ascontiguousarray(found.object[:, extra:]),
         strongest_m=found.range_m[:, 0].copy(),

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarcfg import maths
 from lidarcfg.core import simulate, world
@@ -17,7 +16,6 @@ from lidarcfg.simulate.echoes import (
     CELLS,
     REPORTED,
     Echoes,
-    SubRays,
     add_noise,
     apply_dropout,
     beam_rays,
@@ -41,36 +39,6 @@ class RayCounts(NamedTuple):
 
     rays: int
     hits: int
-
-
-class ObjectSlots(NamedTuple):
-    """Which objects are hit, and how they reflect."""
-
-    object: NDArray[np.int32]  # by slot: of nothing, the ground, the world's shapes, then of the vehicle's bodies
-    reflectivity: NDArray[np.uint8]  # by object: of nothing, then of the others
-
-
-class LaserRays(NamedTuple):
-    """The L lasers of a sensor, and the K rays of a beam of each."""
-
-    cos_elevation: Array  # (L,)
-    sin_elevation: Array
-    cos_offset: Array  # of the azimuth
-    sin_offset: Array
-    forward_m: Array
-    left_m: Array
-    up_m: Array
-    across: Array  # (K,) tangents of the angles by which the rays of a beam leave its axis
-    above: Array
-
-
-class Mounting(NamedTuple):
-    """Where a sensor is: mounted in a vehicle that moves along a path in the world, relative to its tracer's origin."""
-
-    T_world_start: Array  # (4, 4)
-    path: world.Path
-    zero_ns: int  # its time 0
-    T_vehicle_sensor: Array  # (4, 4)
 
 
 class Simulator:
@@ -112,9 +80,10 @@ class Simulator:
         counts = RayCounts(hits.range_m.size, int(np.count_nonzero(hits.range_m <= sensor.range.reported_m[1])))
         if self._exact:
             return thin_beam_echoes(hits.range_m, hits.reflectivity, hits.object, mount.return_mode), counts
+        rays = simulate.SubRays(hits.range_m, hits.reflectivity, hits.object, hits.cosine, fired.laser)
         candidates = REPORTED[mount.return_mode]
         reported = wide_beam_echoes(
-            sensor, self._realism, self._weather, self._index, first, self._weights, hits, candidates
+            sensor, self._realism, self._weather, self._index, first, self._weights, rays, candidates
         )
         apply_dropout(reported, self._realism, self._index, first)
         add_noise(reported, self._realism, self._index, first)
@@ -123,16 +92,15 @@ class Simulator:
             drop_one_return(reported, self._realism, self._index, first)
         return reported, counts
 
-    def _trace(self, fired: Firings) -> SubRays:
+    def _trace(self, fired: Firings) -> simulate.Hits:
         """What the rays of firings hit; the cosines are left out where echoes do not depend on them."""
         assert self._mount.sensor.range
         shape = len(fired.time_ns), len(self._weights)
-        hits = SubRays(
+        hits = simulate.Hits(
             range_m=np.empty(shape),
             reflectivity=np.empty(shape, np.uint8),
             object=np.empty(shape, np.int32),
             cosine=np.empty((0, 0) if self._exact else shape),
-            laser=fired.laser,
         )
         if len(fired.time_ns):
             self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
@@ -142,7 +110,12 @@ class Simulator:
             self._surfaces,
             self._lasers,
             self._mounting,
-            fired,
+            simulate.Firings(
+                time_ns=fired.time_ns,
+                laser=fired.laser,
+                encoder_rad=fired.encoder_rad,
+                elevation_rad=fired.elevation_rad,
+            ),
             self._tracer.zero_ns,
             self._mount.sensor.range.reported_m[1] + BEYOND_M,
             hits,
@@ -158,18 +131,18 @@ class Simulator:
             check((first_ns - zero_ns) / 1e9, (last_ns - zero_ns) / 1e9)
 
 
-def _surfaces(tracer: Tracer, bodies: Tracer | None) -> ObjectSlots:
+def _surfaces(tracer: Tracer, bodies: Tracer | None) -> simulate.Surfaces:
     """What rays of a tracer may hit, and bodies."""
     objects, _ = tracer.world.resolve(np.arange(NO_SLOT, len(tracer.world), dtype=np.int32))
     reflectivity = [np.zeros(1, np.uint8), tracer.scene.reflectivity]
     if bodies:
         objects = np.concatenate([objects, len(tracer.scene.names) + bodies.world.fixed.object], dtype=np.int32)
         reflectivity.append(bodies.scene.reflectivity)
-    return ObjectSlots(objects, np.concatenate(reflectivity))
+    return simulate.Surfaces(object=objects, reflectivity=np.concatenate(reflectivity))
 
 
-def _lasers(sensor: Sensor, across: Array, above: Array) -> LaserRays:
-    return LaserRays(
+def _lasers(sensor: Sensor, across: Array, above: Array) -> simulate.Lasers:
+    return simulate.Lasers(
         cos_elevation=maths.cos(sensor.elevation_rad),
         sin_elevation=maths.sin(sensor.elevation_rad),
         cos_offset=maths.cos(sensor.azimuth_offset_rad),
@@ -182,10 +155,10 @@ def _lasers(sensor: Sensor, across: Array, above: Array) -> LaserRays:
     )
 
 
-def _mounting(mount: Mount, trajectory: Trajectory, origin_m: Array) -> Mounting:
+def _mounting(mount: Mount, trajectory: Trajectory, origin_m: Array) -> simulate.Mounting:
     T_world_start = np.array(trajectory.T_world_start)
     T_world_start[:3, 3] -= origin_m
-    return Mounting(
+    return simulate.Mounting(
         T_world_start=T_world_start,
         path=trajectory.path.compiled,
         zero_ns=trajectory.zero_ns,

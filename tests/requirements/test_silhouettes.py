@@ -26,7 +26,7 @@ from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.meshes import join_meshes
 from lidarcfg.world.scene import build_scene
 from lidarcfg.world.scene_file import SceneFile
-from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles, build_bvh
+from lidarcfg.world.tracer import NO_OBSTACLES, build_bvh, obstacles_of
 from tests.requirements.cases import AROUND, BODY
 from tests.returns_cases import at_place, box, mount
 from tests.simulate.test_returns import obstacles
@@ -145,7 +145,7 @@ def sphere_and_cylinder():
     cylinder = {"name": "pole", "reflectivity": 9, "base_m": (-1.3, 0.2, 0.1), "radius_m": 0.1, "height_m": 1.6}
     scene = build_scene(SceneFile(name="round", spheres=(sphere,), cylinders=(cylinder,)), Path())
     around_m = np.array([1.0, 2.0, 3.0])
-    return scene.mesh(1e-4), Obstacles.of(build_bvh(scene, np.ones(2, bool), around_m), around_m)
+    return scene.mesh(1e-4), obstacles_of(build_bvh(scene, np.ones(2, bool), around_m), around_m)
 
 
 @pytest.mark.parametrize("bodies", [box_and_bars, sphere_and_cylinder])

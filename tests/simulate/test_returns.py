@@ -14,7 +14,7 @@ from lidarcfg.returns.counts import returns
 from lidarcfg.returns.scanners import PHASES, Poses, compiled, scanner
 from lidarcfg.returns.target import Target
 from lidarcfg.vsr.cones import poses as sensor_poses
-from lidarcfg.world.tracer import NO_OBSTACLES
+from lidarcfg.world.tracer import NO_OBSTACLES, obstacles_of
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box, lidars, mount, obstacles, revolution, simulated, tracer_of
 
@@ -148,7 +148,11 @@ def test_the_ground_of_the_surroundings_hides():
     one = mount("vlp-16", (0.0, 0.0, 2.0), (0, 0, 0))
     count = [
         returns(
-            where, target, compiled([scanner(one)]), sensor_poses(lidars([one])), NO_OBSTACLES._replace(ground_m=ground)
+            where,
+            target,
+            compiled([scanner(one)]),
+            sensor_poses(lidars([one])),
+            obstacles_of(NO_OBSTACLES.tree, np.zeros(3), ground),
         ).mean[0]
         for ground in (0.0, 0.8, 1.5)
     ]

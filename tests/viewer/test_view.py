@@ -16,7 +16,7 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.selection import Selection
 from lidarcfg.cli.view import view
 from lidarcfg.clouds.cloud import PointCloud, save_clouds
-from lidarcfg.core import view as core
+from lidarcfg.core import viewer as core
 from lidarcfg.errors import CloudError, ConfigError, PacketError
 from lidarcfg.geometry import pose, transform
 from lidarcfg.sensors.rig import Rig, load_rig, rig_text

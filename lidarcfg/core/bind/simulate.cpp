@@ -49,9 +49,9 @@ struct Fields<Surfaces> {
 
 template <>
 struct Fields<Firings> {
-  static constexpr auto members = fields(field("time_ns", &Firings::time_ns), field("laser", &Firings::laser),
-                                         field("encoder_rad", &Firings::encoder_rad),
-                                         field("elevation_rad", &Firings::elevation_rad));
+  static constexpr auto members =
+      fields(field("time_ns", &Firings::time_ns), field("laser", &Firings::laser),
+             field("encoder_rad", &Firings::encoder_rad), field("elevation_rad", &Firings::elevation_rad));
 };
 
 template <>
@@ -62,11 +62,11 @@ struct Fields<Hits> {
 
 template <>
 struct From<world::Pose> {  // from a homogeneous matrix (4, 4)
+  using Matrix = From<Shaped<Rows<const double>, 4, 4>>;
+  static constexpr auto type = Matrix::type;
+
   static world::Pose python(nb::handle object, Held& held, const Name& name) {
-    const auto T = From<Rows<const double>>::python(object, held, name);
-    if (T.rows() != 4 || T.columns() != 4) {
-      name.refuse("not of shape (4, 4)");
-    }
+    const auto T = Matrix::python(object, held, name);
     return {{T(0, 0), T(0, 1), T(0, 2), T(1, 0), T(1, 1), T(1, 2), T(2, 0), T(2, 1), T(2, 2)},
             {T(0, 3), T(1, 3), T(2, 3)}};
   }
@@ -83,7 +83,8 @@ void bind_echoes(nb::module_& module) {
   def(
       module, "merge_echoes",
       [](const SubRays& rays, View<const double> weights, double range_max_m, double step_rad, double least,
-         Rows<const double> droplets, Rows<const double> fade, View<const std::uint8_t> which, const Candidates& out) {
+         Shaped<Rows<const double>, -1, 2> droplets, Rows<const double> fade, View<const std::uint8_t> which,
+         const Candidates& out) {
         const Index count = rays.range_m.rows();
         const Index width = std::ssize(weights);
         require(width > 0, "weights: at least one");
@@ -92,7 +93,7 @@ void bind_echoes(nb::module_& module) {
         require(is_shape(rays.object, count, width), "rays.object: one for each range");
         require(is_shape(rays.cosine, count, width), "rays.cosine: one for each range");
         require(std::ssize(rays.laser) == count, "rays.laser: one for each row of ranges");
-        require(is_shape(droplets, fade.rows() ? count : 0, 2), "droplets: two for each firing, or none without fade");
+        require(droplets.rows() == (fade.rows() ? count : 0), "droplets: one for each firing, or none without fade");
         require(!fade.rows() || is_shape(fade, count, width + 1), "fade: one for each ray and one more, or none");
         const Index columns = std::ssize(which);
         require(std::all_of(which.begin(), which.end(), [](std::uint8_t one) { return one < candidates; }),
@@ -103,8 +104,12 @@ void bind_echoes(nb::module_& module) {
         merge_echoes(rays, weights, {range_max_m, step_rad, least}, {droplets, fade},
                      {reinterpret_cast<const Candidate*>(which.data()), which.size()}, out);
       },
-      "Write candidates of beams.", "rays", "weights", "range_max_m", "step_rad", "least", "droplets", "fade", "which",
-      "out");
+      R"(Write candidates `which` (C,) of beams of K rays (N, K) with weights: ranges, reflectivities, objects (N, C).
+
+Echoes beyond a range, or with less than the least power, do not count; `step_rad` is the angle between
+neighbouring rays. In bad weather droplets (N, 2) are range and albedo of what the weather echoes, and fade
+(N, K + 1) is what is left of the light; else both are empty.)",
+      "rays", "weights", "range_max_m", "step_rad", "least", "droplets", "fade", "which", "out");
 }
 
 void require_surfaces(const Surfaces& surfaces, Index slots) {
@@ -153,13 +158,22 @@ void bind_trace(nb::module_& module) {
         require(!hits.cosine.rows() || is_shape(hits.cosine, count, width), "hits.cosine: one for each ray, or none");
         trace_firings({world, bodies, surfaces, lasers, mounting, zero_ns, limit_m}, firings, hits);
       },
-      "Write what the rays of firings hit.", "world", "bodies", "surfaces", "lasers", "mounting", "firings", "zero_ns",
-      "limit_m", "hits");
+      R"(Write what the K rays (N, K) of N firings hit within a limit, K being 1 or 9; `cosine` may be without rows.
+
+The bodies are in the vehicle's frame. Moving objects have their time 0 at `zero_ns`.)",
+      "world", "bodies", "surfaces", "lasers", "mounting", "firings", "zero_ns", "limit_m", "hits");
 }
 
 }  // namespace
 
 void bind_simulate(nb::module_& module) {
+  record<Firings>(module, "Firings", "Firings of one sensor.");
+  record<Surfaces>(module, "Surfaces", "Which objects are hit, and how they reflect.");
+  record<Lasers>(module, "Lasers", "The lasers of a sensor, and the rays of a beam of each.");
+  record<Mounting>(module, "Mounting", "Where a sensor is.");
+  record<Hits>(module, "Hits", "What the K rays of N firings hit, to be written; `cosine` may be without rows.");
+  record<SubRays>(module, "SubRays", "What the rays of beams hit, and which lasers fired.");
+  record<Candidates>(module, "Candidates", "Candidates of N firings, to be written.");
   bind_echoes(module);
   bind_trace(module);
   def(
@@ -168,7 +182,7 @@ void bind_simulate(nb::module_& module) {
         const auto [cos, sin] = cos_sin(angle_rad);
         return std::tuple(cos, sin);
       },
-      "The core's own cosine and sine.", "angle_rad");
+      "Cosine and sine, the same on every processor; the error is some 2e-16 up to many revolutions.", "angle_rad");
 }
 
 }  // namespace lidarcfg::bind

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,31 +46,6 @@ PAIR_KINDS = {  # the nearer return, the farther
     0x3C: (FIRST, STRONGEST),
     0x3E: (BY_BLOCK, BY_BLOCK),  # the strongest stands in the even block
 }
-
-
-class PacketFields(NamedTuple):
-    """The fields of P packets, without the returns in their blocks."""
-
-    unit_mm: Bytes  # (P,) of distances
-    start_ns: Times  # (P, B) when each block starts
-    loop: Bytes  # (P, B) which lasers fire, and when
-    dual: Flags  # (P,) whether neighbouring blocks hold two returns of the same firings
-    near: Bytes  # (P,) the type of a pair's nearer return, or of single returns
-    far: Bytes  # (P,) the type of a pair's farther return
-    turn: Array  # (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
-
-
-class HesaiLasers(NamedTuple):
-    """The angles of the L lasers and when they fire."""
-
-    cos_elevation: Array
-    sin_elevation: Array
-    cos_offset: Array  # of the azimuth offset
-    sin_offset: Array
-    ring: Bytes
-    offset_ns: Times  # (loops, L) after the block's start
-    near_ns: Times  # (loops, L) the same for what is near
-    lag_ns: Times  # (loops, L) how long the head turns from a block's azimuth to the laser's
 
 
 class HesaiDecoder(Decoder):
@@ -142,7 +116,7 @@ def decode(
         near[mode], far[mode] = pair
     dual = is_dual(packets)
     start_ns, loop = _blocks(unit, packets, dual, driver_view)
-    fields = PacketFields(
+    fields = core.HesaiFields(
         unit_mm=np.ascontiguousarray(packets["header"]["unit_mm"]),
         start_ns=start_ns,
         loop=loop,
@@ -154,7 +128,7 @@ def decode(
     data = bytes_of(packets)
     decoder = _decoder(unit)
     out = DecodedReturns.allocate(decoder.count(data, wanted), polar)
-    return out.first(decoder.decode(data, wanted, fields, out))
+    return out.first(decoder.decode(data, wanted, fields, core.Returns(*out)))
 
 
 def _blocks(unit: Unit, packets: Packets, dual: Flags, driver_view: bool) -> tuple[Times, Bytes]:
@@ -230,7 +204,7 @@ def _other(name: str, key: str, right: int | str, value: int) -> str:
 @lru_cache
 def _decoder(unit: Unit) -> core.HesaiDecoder:
     sensor = unit.sensor
-    lasers = HesaiLasers(
+    lasers = core.HesaiLasers(
         cos_elevation=maths.cos(sensor.elevation_rad),
         sin_elevation=maths.sin(sensor.elevation_rad),
         cos_offset=maths.cos(sensor.azimuth_offset_rad),

@@ -53,7 +53,7 @@ class DecodeTables:
         unit = self.unit
         sensor = unit.sensor
         schedule = unit.firing_schedule(self.dual)
-        lasers = blocks.BlockLasers(
+        lasers = core.BlockLasers(
             elevation=self.elevation_rad,
             azimuth_offset=self.azimuth_offset_rad,
             forward=sensor.forward_offset_m,

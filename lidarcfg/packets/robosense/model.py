@@ -7,8 +7,8 @@ import numpy as np
 from pydantic import Field
 
 from lidarcfg.config.models import Model
+from lidarcfg.core import packets as core
 from lidarcfg.geometry import Times
-from lidarcfg.packets import blocks
 from lidarcfg.packets.facts import Header, Nanoseconds, Network, SensorInstance, SequenceFiring, check_firing
 from lidarcfg.packets.robosense.layout import HELIOS, RETURN, SERIES, Series
 from lidarcfg.sensors.schedule import FiringSchedule
@@ -167,7 +167,7 @@ def byte_offsets(unit: Unit, dual: bool) -> Times:
 
 
 @lru_cache
-def slots(unit: Unit, dual: bool, driver_view: bool) -> blocks.BlockSlots:
+def slots(unit: Unit, dual: bool, driver_view: bool) -> core.BlockSlots:
     """The core's table of a packet's slots; with `driver_view`, of when the maker's driver has lasers fire."""
     schedule = unit.firing_schedule(dual)
     groups = schedule.sequences // schedule.per_azimuth
@@ -184,7 +184,7 @@ def slots(unit: Unit, dual: bool, driver_view: bool) -> blocks.BlockSlots:
         offset_ns = sequence * schedule.sequence_ns + schedule.offset_ns[laser]
         group_ns = schedule.per_azimuth * schedule.sequence_ns
         fraction = (offset_ns - schedule.offset_ns.min()) / group_ns
-    return blocks.BlockSlots(
+    return core.BlockSlots(
         laser=laser,
         fraction=np.tile(fraction, (groups, 1)),
         offset_ns=np.arange(groups)[:, None] * group_ns + offset_ns,

@@ -187,14 +187,14 @@ def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
     sensor = unit.sensor
     near = unit.near_offset_m
     focal = unit.focal
-    slots_ = blocks.BlockSlots(
+    slots_ = core.BlockSlots(
         laser=fired[:width] % unit.count,
         fraction=((offset_ns - unit.head_offset_ns) / group_ns - group).reshape(-1, width),
         offset_ns=offset_ns.reshape(-1, width),
         kind=(numbers[:width] % (1 + dual)).astype(np.uint8),
         other=other,
     )
-    lasers = blocks.BlockLasers(
+    lasers = core.BlockLasers(
         elevation=sensor.elevation_rad,
         azimuth_offset=sensor.azimuth_offset_rad,
         forward=np.zeros(unit.count),

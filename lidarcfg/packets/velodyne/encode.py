@@ -1,7 +1,5 @@
 """Encodes firings and their measurements as packets."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,16 +21,6 @@ from lidarcfg.packets.velodyne.layout import (
 from lidarcfg.packets.velodyne.model import Unit, block_flags, slots
 from lidarcfg.packets.velodyne.telemetry import calibration, status_bytes
 from lidarcfg.sensors.firing import Firings
-
-
-class NearLasers(NamedTuple):
-    """The L lasers, whose distances near by have offsets of their own: angles in radians, lengths in metres."""
-
-    elevation: Array
-    azimuth_offset: Array
-    left: Array
-    distance_offset: Array  # far off
-    near_offset: Array  # (L, 2) to the side and ahead
 
 
 def encode(
@@ -64,7 +52,7 @@ def encode(
     core.write_velodyne_returns(*measured, number, unit.distance_offset_m[laser], limits, data)
     if unit.near_offset_m is not None:
         sensor = unit.sensor
-        lasers = NearLasers(
+        lasers = core.NearLasers(
             elevation=sensor.elevation_rad,
             azimuth_offset=sensor.azimuth_offset_rad,
             left=sensor.lateral_offset_m,

@@ -1,9 +1,9 @@
-#include "view/raster.h"
+#include "viewer/raster.h"
 
 #include <algorithm>
 #include <cmath>
 
-namespace lidarcfg::view {
+namespace lidarcfg::viewer {
 namespace {
 
 /// A triangle's corners in front of a plane: up to four.
@@ -85,4 +85,4 @@ Index blend_triangles(Tables<float> image, Rows<const float> depth_m, Rows<const
   return blended;
 }
 
-}  // namespace lidarcfg::view
+}  // namespace lidarcfg::viewer

@@ -1,8 +1,5 @@
-#include "vsr/visibility.h"
-
 #include "bind/arguments.h"
 #include "bind/modules.h"
-#include "bind/sight.h"
 #include "vsr/columns.h"
 
 namespace lidarcfg::bind {
@@ -30,18 +27,21 @@ void check_lines(const Labels& label, Index count, const Tables<T>& x, const Tab
   require(has_shape(z, count, label.tables(), label.rows()), "z: not the lines along z");
 }
 
-void bind_columns(nb::module_& module) {
+}  // namespace
+
+void bind_vsr_columns(nb::module_& module) {
+  record<vsr::Span>(module, "Span", "Least and greatest beam gaps on lines, to be widened.");
   def(
       module, "mark_subspaces",
-      [](Labels label, Rows<const std::int64_t> cells, View<bool> found) {
-        require(cells.rows() == 3 && cells.columns() == 2, "cells: not (3, 2)");
+      [](Labels label, Shaped<Rows<const std::int64_t>, 3, 2> cells, View<bool> found) {
         const Index shape[3] = {label.tables(), label.rows(), label.columns()};
         for (Index axis = 0; axis < 3; ++axis) {
           require(cells(axis, 0) >= 0 && cells(axis, 1) <= shape[axis], "cells: outside label");
         }
         vsr::mark_subspaces(label, cells, found);
       },
-      "Mark the subspaces that have a cuboid in a box.", "label", "cells", "found");
+      "Mark in found (n + 1,) the subspaces of label (nx, ny, nz) with a cuboid in cells (3, 2); last: excluded ones.",
+      "label", "cells", "found");
   def(
       module, "count_lines",
       [](Labels label, View<const std::int64_t> row_of, Tables<std::int32_t> x, Tables<std::int32_t> y,
@@ -52,35 +52,17 @@ void bind_columns(nb::module_& module) {
         }
         vsr::count_lines(label, row_of, x, y, z);
       },
-      "Count the cuboids of subspaces on lines along x, y and z.", "label", "row_of", "x", "y", "z");
+      "Count the cuboids of subspaces on lines: x (n, ny, nz), y (n, nx, nz), z (n, nx, ny); row_of (subspaces + 1,).",
+      "label", "row_of", "x", "y", "z");
   def(
       module, "widen_spans",
-      [](Labels label, Rows<const std::int64_t> gap, std::int64_t blind, vsr::Span x, vsr::Span y,
-         vsr::Span z) {
+      [](Labels label, Rows<const std::int64_t> gap, std::int64_t blind, vsr::Span x, vsr::Span y, vsr::Span z) {
         check_lines(label, gap.columns(), x.low, y.low, z.low);
         check_lines(label, gap.columns(), x.high, y.high, z.high);
         vsr::widen_spans(label, gap, blind, x, y, z);
       },
-      "Widen the spans of lines along x, y and z by the gaps of what lies on them.", "label", "gap", "blind", "x", "y",
-      "z");
-}
-
-void bind_sight(nb::module_& module) {
-  def(
-      module, "boxes_of",
-      [](const world::Bvh& bvh) {
-        std::vector<double> boxes = world::boxes_of(bvh);
-        const std::size_t columns = boxes.size() / 6;
-        return Array<double, 2>{std::move(boxes), {6, columns}};
-      },
-      "Boxes that together hold a hierarchy's shapes.", "bvh");
-}
-
-}  // namespace
-
-void bind_visibility(nb::module_& module) {
-  bind_sight(module);
-  bind_columns(module);
+      "Widen the spans of lines along x, y and z by the gaps (n, lidars) of what lies on them, but blind ones.",
+      "label", "gap", "blind", "x", "y", "z");
 }
 
 }  // namespace lidarcfg::bind

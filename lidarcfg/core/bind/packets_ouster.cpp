@@ -1,7 +1,6 @@
-#include "packets/ouster.h"
-
 #include "bind/arguments.h"
 #include "bind/modules.h"
+#include "packets/ouster.h"
 
 namespace lidarcfg::bind {
 
@@ -95,9 +94,13 @@ void check(const Beams& beams, const Layout& layout, std::size_t returns) {
 
 }  // namespace
 
-void bind_ouster(nb::module_& module) {
+void bind_packets_ouster(nb::module_& module) {
+  record<Layout>(module, "OusterLayout", "Where columns and pixels are in a packet, in bytes.");
+  record<Decoding>(module, "OusterProfile", "Where a column's status and a pixel's returns are.");
+  record<Beams>(module, "OusterBeams", "The L pixels of a column, in a frame whose z is the axis.");
+  record<Limits>(module, "OusterLimits", "The ranges that packets can hold.");
   def(
-      module, "decode_points",
+      module, "decode_ouster_points",
       [](Rows<const Byte> packets, const Layout& layout, const Decoding& profile, const Beams& beams, View<Vec3> xyz_m,
          View<std::int64_t> time_ns, View<Byte> ring, View<Byte> intensity, View<Byte> return_type) {
         check(layout, packets);
@@ -115,25 +118,24 @@ void bind_ouster(nb::module_& module) {
                              {layout, profile.status, profile.status_mask, returns, profile.range_mask, profile.unit_m},
                              beams, {xyz_m, time_ns, ring, intensity, return_type});
       },
-      "Write the returns in packets, column by column; returns how many there are.", "packets", "layout", "profile",
-      "beams", "xyz_m", "time_ns", "ring", "intensity", "return_type");
+      "Write the returns in packets (P, size), column by column, to columns with room for all; returns how many.",
+      "packets", "layout", "profile", "beams", "xyz_m", "time_ns", "ring", "intensity", "return_type");
   def(
-      module, "quantize_returns",
-      [](Rows<const double> range_m, Rows<const Byte> reflectivity, const Limits& limits, View<const double> photons,
-         bool strongest_first, Rows<std::uint32_t> out) {
+      module, "quantize_ouster_returns",
+      [](Rows<const double> range_m, Rows<const Byte> reflectivity, const Limits& limits,
+         Shaped<View<const double>, 256> photons, bool strongest_first, Rows<std::uint32_t> out) {
         const Index returns = range_m.columns();
         require(is_within(returns, 1, 2), "range_m: one or two returns of each firing");
         require(reflectivity.rows() == range_m.rows() && reflectivity.columns() == returns,
                 "reflectivity: one for each range");
-        require(photons.size() == 256, "photons: one for each reflectivity");
         require(out.rows() == 3 * returns && out.columns() == range_m.rows(), "out: three rows for each return");
         require(limits.most_units < 4294967296.0, "limits.most_units: above 32 bits");
         quantize_returns(range_m, reflectivity, limits, photons, strongest_first, out);
       },
-      "Write range, reflectivity and signal of firings as packets have them.", "range_m", "reflectivity", "limits",
-      "photons", "strongest_first", "out");
+      "Write range, reflectivity and signal of (N, R) as packets have them to out (3 R, N); photons (256,) at 1 m.",
+      "range_m", "reflectivity", "limits", "photons", "strongest_first", "out");
   def(
-      module, "pack_fields",
+      module, "pack_ouster_fields",
       [](Rows<const std::uint32_t> values, View<const std::array<std::int64_t, 3>> bits, const Layout& layout,
          Rows<Byte> packets) {
         check(layout, packets);
@@ -141,9 +143,10 @@ void bind_ouster(nb::module_& module) {
         require(values.columns() == packets.rows() * layout.packet_pixels(), "values: one for each pixel");
         pack_fields(values, fields_of(bits, layout), layout, packets);
       },
-      "Write fields into the pixels of packets.", "values", "bits", "layout", "packets");
+      "Write fields (F, N) at bits (F, 3: word, shift, mask) into the pixels of packets (P, size).", "values", "bits",
+      "layout", "packets");
   def(
-      module, "unpack_fields",
+      module, "unpack_ouster_fields",
       [](Rows<const Byte> packets, View<const std::array<std::int64_t, 3>> bits, const Layout& layout,
          Rows<std::uint32_t> out) {
         check(layout, packets);
@@ -151,7 +154,8 @@ void bind_ouster(nb::module_& module) {
         require(out.columns() == packets.rows() * layout.packet_pixels(), "out: one for each pixel");
         unpack_fields(packets, fields_of(bits, layout), layout, out);
       },
-      "Read fields from the pixels of packets.", "packets", "bits", "layout", "out");
+      "Read fields at bits (F, 3: word, shift, mask) from the pixels of packets (P, size) to out (F, N).", "packets",
+      "bits", "layout", "out");
   def(
       module, "crc64",
       [](Rows<const Byte> packets, Index size) {
@@ -160,7 +164,7 @@ void bind_ouster(nb::module_& module) {
         crc64(packets, size, out);
         return out;
       },
-      "CRC-64/XZ of the first bytes of packets.", "packets", "size");
+      "(P,) CRC-64/XZ of the first bytes, a multiple of four, of packets (P, n).", "packets", "size");
 }
 
 }  // namespace lidarcfg::bind

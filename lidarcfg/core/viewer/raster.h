@@ -3,7 +3,7 @@
 
 #include "views.h"
 
-namespace lidarcfg::view {
+namespace lidarcfg::viewer {
 
 /// Blend triangles, far to near, into an image where they are nearer than a depth; returns how many pixels are blended.
 ///
@@ -17,4 +17,4 @@ namespace lidarcfg::view {
 Index blend_triangles(Tables<float> image, Rows<const float> depth_m, Rows<const Vec3> triangles,
                       View<const Vec3> colours, View<const double> alpha, double focal_px, double near_m);
 
-}  // namespace lidarcfg::view
+}  // namespace lidarcfg::viewer

@@ -1,9 +1,8 @@
-#include "vsr/detection.h"
-
 #include <algorithm>
 
 #include "bind/arguments.h"
 #include "bind/modules.h"
+#include "vsr/detection.h"
 
 namespace lidarcfg::bind {
 
@@ -31,7 +30,7 @@ bool are_labels(Labels label, Index subspaces) {
 
 }  // namespace
 
-void bind_detection(nb::module_& module) {
+void bind_vsr_detection(nb::module_& module) {
   def(
       module, "detected_positions",
       [](Labels labels, Triple size, Index threshold, Index layers, Index misses, View<bool> held) {
@@ -48,8 +47,11 @@ void bind_detection(nb::module_& module) {
         return std::tuple(Array<std::int64_t, 2>{std::move(found.detected), places},
                           Array<std::int64_t, 2>{std::move(found.places), places});
       },
-      "At how many places a box of cuboids touches more than so many subspaces.", "labels", "size", "threshold",
-      "layers", "misses", "held");
+      R"(At how many places (mx, my) a box of cuboids touches more than `threshold` subspaces; how many places there are.
+
+labels (nx, ny, nz), −1 where excluded; the box's lowest layer is one of the first `layers`. Ends after so
+many misses. held (n,) is set for subspaces that a box lies in, if it is not empty.)",
+      "labels", "size", "threshold", "layers", "misses", "held");
   def(
       module, "detected_boxes",
       [](Labels labels, Vec3 low, Vec3 edge, View<const std::array<double, 4>> boxes, Vec3 size, Index threshold) {
@@ -58,7 +60,8 @@ void bind_detection(nb::module_& module) {
         const BoxCounts found = detected_boxes(labels, low, edge, boxes, size, threshold);
         return std::tuple(found.detected, found.free);
       },
-      "How many boxes touch more than so many subspaces.", "labels", "low", "edge", "boxes", "size", "threshold");
+      "How many boxes (n, 4: centre x, y, bottom, heading) touch more than `threshold` subspaces; how many are free.",
+      "labels", "low", "edge", "boxes", "size", "threshold");
 }
 
 }  // namespace lidarcfg::bind
