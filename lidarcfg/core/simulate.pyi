@@ -191,8 +191,3 @@ def trace_firings(
 
     The bodies are in the vehicle's frame. Moving objects have their time 0 at `zero_ns`.
     """
-
-def cos_sin(angle_rad: float) -> tuple[float, float]:
-    """
-    Cosine and sine, the same on every processor; the error is some 2e-16 up to many revolutions.
-    """

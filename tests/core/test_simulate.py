@@ -1,12 +1,9 @@
 """Aiming, tracing of firings and merging of echoes in the core, on small cases."""
 
-import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from lidarcfg.core import simulate, world
 from tests.core.records import replaced
@@ -90,11 +87,6 @@ def traced(*words, **changed):
     given = arguments(*words, **changed)
     simulate.trace_firings(**given)
     return given["hits"]
-
-
-@given(st.floats(-1000, 1000))
-def test_cosines_and_sines(angle_rad):
-    assert simulate.cos_sin(angle_rad) == pytest.approx((math.cos(angle_rad), math.sin(angle_rad)), rel=0, abs=3e-14)
 
 
 def test_beams_hit_the_sphere_the_ground_or_nothing():

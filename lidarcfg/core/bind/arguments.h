@@ -318,6 +318,36 @@ struct From<std::vector<T>> {  // from a list or a tuple
   }
 };
 
+template <class T>
+bool has_shape(const View<T>& column, Index size) {
+  return std::ssize(column) == size;
+}
+template <class T>
+bool has_shape(const Rows<T>& table, Index rows, Index columns) {
+  return table.rows() == rows && table.columns() == columns;
+}
+template <class T>
+bool has_shape(const Tables<T>& all, Index tables, Index rows, Index columns) {
+  return all.tables() == tables && all.rows() == rows && all.columns() == columns;
+}
+
+/// Raises ValueError unless columns of a struct, whose name and theirs the message begins with, have a shape.
+template <Described T, class... M, class... I>
+void require_columns(const T& whole, const char* name, const char* why, std::tuple<M T::*...> columns, I... shape) {
+  const auto check = [&]<class C>(C T::* column) {
+    if (has_shape(whole.*column, static_cast<Index>(shape)...)) {
+      return;
+    }
+    const auto refuse = [&](const auto& field) {
+      if constexpr (std::is_same_v<std::remove_cvref_t<decltype(field.member)>, C T::*>) {
+        require(field.member != column, (std::string(name) + "." + field.name + ": " + why).c_str());
+      }
+    };
+    std::apply([&](const auto&... field) { (refuse(field), ...); }, Fields<T>::members);
+  };
+  std::apply([&](auto... column) { (check(column), ...); }, columns);
+}
+
 /// A new array, which Python owns from then on.
 template <class T, std::size_t N = 1>
 struct Array {

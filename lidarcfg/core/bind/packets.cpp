@@ -98,11 +98,9 @@ packets::Limits limits_of(const std::array<double, 4>& values) {
 
 void check_returns(const packets::Returns& out) {
   const std::size_t count = out.xyz_m.size();
-  require(out.time_ns.size() == count, "out.time_ns: one for each of xyz_m");
-  require(out.laser.size() == count, "out.laser: one for each of xyz_m");
-  require(out.ring.size() == count, "out.ring: one for each of xyz_m");
-  require(out.intensity.size() == count, "out.intensity: one for each of xyz_m");
-  require(out.return_type.size() == count, "out.return_type: one for each of xyz_m");
+  using R = packets::Returns;
+  require_columns(out, "out", "one for each of xyz_m",
+                  std::tuple(&R::time_ns, &R::laser, &R::ring, &R::intensity, &R::return_type), count);
   require(out.range_m.empty() || out.range_m.size() == count, "out.range_m: none, or one for each of xyz_m");
   require(out.azimuth_rad.size() == out.range_m.size(), "out.azimuth_rad: one for each of range_m");
 }
@@ -114,12 +112,9 @@ void check_wanted(View<const bool> wanted, Index packets) {
 void check_lasers(const packets::Lasers& lasers) {
   const std::size_t count = lasers.elevation.size();
   require(0 < count && count <= lasers_max, "lasers.elevation: of 1 to 256 lasers");
-  require(lasers.azimuth_offset.size() == count, "lasers.azimuth_offset: one for each elevation");
-  require(lasers.forward.size() == count, "lasers.forward: one for each elevation");
-  require(lasers.left.size() == count, "lasers.left: one for each elevation");
-  require(lasers.up.size() == count, "lasers.up: one for each elevation");
-  require(lasers.distance_offset.size() == count, "lasers.distance_offset: one for each elevation");
-  require(lasers.ring.size() == count, "lasers.ring: one for each elevation");
+  using L = packets::Lasers;
+  require_columns(lasers, "lasers", "one for each elevation",
+                  std::tuple(&L::azimuth_offset, &L::forward, &L::left, &L::up, &L::distance_offset, &L::ring), count);
   const auto is_table = [count](Rows<const double> rows) {
     return rows.rows() == 0 || rows.rows() == static_cast<Index>(count);
   };
@@ -134,8 +129,7 @@ void check_slots(const packets::Slots& slots, Index lasers) {
   require(groups > 0 && groups * width <= packets::slots_per_packet,
           "slots.fraction: of groups that fill at most a packet");
   require(slots.fraction.columns() == width, "slots.fraction: one for each laser");
-  require(slots.offset_ns.rows() == groups && slots.offset_ns.columns() == width,
-          "slots.offset_ns: one for each fraction");
+  require(has_shape(slots.offset_ns, groups, width), "slots.offset_ns: one for each fraction");
   require(std::ssize(slots.kind) == width && all_below(slots.kind, 2), "slots.kind: 0 or 1 for each laser");
   require(slots.other.empty() || (std::ssize(slots.other) == width && all_below(slots.other, width)),
           "slots.other: none, or a slot for each laser");
@@ -149,8 +143,7 @@ void check_times(std::int64_t period_ns, std::int64_t group_ns) {
 
 void check_encoded(Rows<const double> range_m, Bytes reflectivity, View<const std::int64_t> number, Bytes packets) {
   require(range_m.rows() == packets.rows(), "range_m: a row for each packet");
-  require(reflectivity.rows() == range_m.rows() && reflectivity.columns() == range_m.columns(),
-          "reflectivity: one for each range");
+  require(has_shape(reflectivity, range_m.rows(), range_m.columns()), "reflectivity: one for each range");
   require(std::ssize(number) <= packets::slots_per_packet, "number: more than 384 slots");
   require(all_below(number, range_m.columns()), "number: beyond the ranges");
 }
@@ -220,10 +213,10 @@ void bind_velodyne(nb::module_& module) {
                     (azimuth.columns() == range_m.columns() || 2 * azimuth.columns() == range_m.columns()),
                 "azimuth: one for each range or pair of ranges");
         require(laser.size() == number.size() && all_below(laser, count), "laser: one of the lasers for each number");
-        require(lasers.azimuth_offset.size() == count, "lasers.azimuth_offset: one for each elevation");
-        require(lasers.left.size() == count, "lasers.left: one for each elevation");
-        require(lasers.distance_offset.size() == count, "lasers.distance_offset: one for each elevation");
-        require(lasers.near_offset.rows() == static_cast<Index>(count), "lasers.near_offset: one for each elevation");
+        using L = packets::NearLasers;
+        const char* const why = "one for each elevation";
+        require_columns(lasers, "lasers", why, std::tuple(&L::azimuth_offset, &L::left, &L::distance_offset), count);
+        require_columns(lasers, "lasers", why, std::tuple(&L::near_offset), count, 2);
         packets::write_near_returns(range_m, reflectivity, azimuth, number, laser, lasers, limits_of(limits), packets);
       },
       "Write those returns again whose distances are corrected for x and y apart: at azimuth (P, N or N / 2).",
@@ -242,17 +235,13 @@ void bind_velodyne(nb::module_& module) {
 void check_hesai_lasers(const packets::hesai::Lasers& lasers) {
   const std::size_t count = lasers.ring.size();
   require(0 < count && count <= lasers_max, "lasers.ring: of 1 to 256 lasers");
-  require(lasers.cos_elevation.size() == count, "lasers.cos_elevation: one for each ring");
-  require(lasers.sin_elevation.size() == count, "lasers.sin_elevation: one for each ring");
-  require(lasers.cos_offset.size() == count, "lasers.cos_offset: one for each ring");
-  require(lasers.sin_offset.size() == count, "lasers.sin_offset: one for each ring");
+  using L = packets::hesai::Lasers;
+  require_columns(lasers, "lasers", "one for each ring",
+                  std::tuple(&L::cos_elevation, &L::sin_elevation, &L::cos_offset, &L::sin_offset), count);
   require(lasers.offset_ns.rows() > 0 && lasers.offset_ns.columns() == static_cast<Index>(count),
           "lasers.offset_ns: at least one loop, with one for each ring");
-  const auto is_by_laser = [&](Rows<const std::int64_t> rows) {
-    return rows.rows() == lasers.offset_ns.rows() && rows.columns() == lasers.offset_ns.columns();
-  };
-  require(is_by_laser(lasers.near_ns), "lasers.near_ns: one for each of offset_ns");
-  require(is_by_laser(lasers.lag_ns), "lasers.lag_ns: one for each of offset_ns");
+  require_columns(lasers, "lasers", "one for each of offset_ns", std::tuple(&L::near_ns, &L::lag_ns),
+                  lasers.offset_ns.rows(), count);
 }
 
 void check_hesai_layout(const packets::hesai::Layout& layout) {
@@ -286,21 +275,15 @@ void bind_hesai(nb::module_& module) {
       type, "decode",
       [](const Decoder& self, Bytes packets, View<const bool> wanted, const packets::hesai::PacketFields& fields,
          const packets::Returns& out) {
-        const std::size_t count = packets.rows();
+        using F = packets::hesai::PacketFields;
+        const Index count = packets.rows();
         require(packets.columns() >= self.layout().end(), "packets: too short for the blocks");
-        check_wanted(wanted, packets.rows());
-        require(fields.unit_mm.size() == count, "fields.unit_mm: one for each packet");
-        const Index blocks = self.layout().blocks;
-        const auto is_by_block = [=](const auto& rows) {
-          return rows.rows() == static_cast<Index>(count) && rows.columns() == blocks;
-        };
-        require(is_by_block(fields.start_ns), "fields.start_ns: one for each block of each packet");
-        require(is_by_block(fields.loop) && all_below(flat(fields.loop), self.loops()),
-                "fields.loop: one of the loops for each block of each packet");
-        require(fields.dual.size() == count, "fields.dual: one for each packet");
-        require(fields.near.size() == count, "fields.near: one for each packet");
-        require(fields.far.size() == count, "fields.far: one for each packet");
-        require(fields.turn.size() == count, "fields.turn: one for each packet");
+        check_wanted(wanted, count);
+        require_columns(fields, "fields", "one for each packet",
+                        std::tuple(&F::unit_mm, &F::dual, &F::near, &F::far, &F::turn), count);
+        require_columns(fields, "fields", "one for each block of each packet", std::tuple(&F::start_ns, &F::loop),
+                        count, self.layout().blocks);
+        require(all_below(flat(fields.loop), self.loops()), "fields.loop: one of the loops");
         check_returns(out);
         return self.decode(packets, wanted, fields, out);
       },
@@ -321,9 +304,7 @@ void bind_hesai(nb::module_& module) {
         require(laser.rows() == count && laser.columns() % groups == 0, "laser: for each packet, as many a group");
         require(all_below(flat(laser), lasers), "laser: beyond the lasers");
         require(range_m.tables() == count && range_m.rows() == laser.columns(), "range_m: one or two for each laser");
-        require(reflectivity.tables() == count && reflectivity.rows() == range_m.rows() &&
-                    reflectivity.columns() == range_m.columns(),
-                "reflectivity: one for each range");
+        require(has_shape(reflectivity, count, range_m.rows(), range_m.columns()), "reflectivity: one for each range");
         require(all_below(column, range_m.columns()), "column: beyond the returns");
         packets::hesai::write_returns(range_m, reflectivity, laser, column, inside, limits_of(limits), layout, packets);
       },
@@ -365,10 +346,9 @@ void bind_packets(nb::module_& module) {
       [](View<const double> revolutions, View<const std::int64_t> stamp_ns, View<const std::int64_t> offset_ns,
          double revolutions_per_ns, Rows<std::int64_t> time_ns, Rows<double> encoder_rad) {
         require(stamp_ns.size() == revolutions.size(), "stamp_ns: one for each of revolutions");
-        require(time_ns.rows() == std::ssize(revolutions) && time_ns.columns() == std::ssize(offset_ns),
+        require(has_shape(time_ns, std::ssize(revolutions), std::ssize(offset_ns)),
                 "time_ns: for each of revolutions, one for each of offset_ns");
-        require(encoder_rad.rows() == time_ns.rows() && encoder_rad.columns() == time_ns.columns(),
-                "encoder_rad: one for each of time_ns");
+        require(has_shape(encoder_rad, time_ns.rows(), time_ns.columns()), "encoder_rad: one for each of time_ns");
         packets::fire(revolutions, stamp_ns, offset_ns, revolutions_per_ns, time_ns, encoder_rad);
       },
       "Write times and azimuths (P, N) of firings that come at offsets (N,) after stamps (P,).", "revolutions",

@@ -85,10 +85,8 @@ std::vector<ReturnField> returns_of(const Decoding& profile, const Layout& layou
 }
 
 void check(const Beams& beams, const Layout& layout, std::size_t returns) {
-  for (const auto& one : {beams.ahead, beams.right, beams.up}) {
-    require(std::ssize(one) == layout.pixels, "beams: one for each pixel of a column");
-  }
-  require(std::ssize(beams.ring) == layout.pixels, "beams.ring: one for each pixel of a column");
+  require_columns(beams, "beams", "one for each pixel of a column",
+                  std::tuple(&Beams::ahead, &Beams::right, &Beams::up, &Beams::ring), layout.pixels);
   require(beams.return_type.size() == returns, "beams.return_type: one for each return");
 }
 
@@ -126,9 +124,8 @@ void bind_packets_ouster(nb::module_& module) {
          Shaped<View<const double>, 256> photons, bool strongest_first, Rows<std::uint32_t> out) {
         const Index returns = range_m.columns();
         require(is_within(returns, 1, 2), "range_m: one or two returns of each firing");
-        require(reflectivity.rows() == range_m.rows() && reflectivity.columns() == returns,
-                "reflectivity: one for each range");
-        require(out.rows() == 3 * returns && out.columns() == range_m.rows(), "out: three rows for each return");
+        require(has_shape(reflectivity, range_m.rows(), returns), "reflectivity: one for each range");
+        require(has_shape(out, 3 * returns, range_m.rows()), "out: three rows for each return");
         require(limits.most_units < 4294967296.0, "limits.most_units: above 32 bits");
         quantize_returns(range_m, reflectivity, limits, photons, strongest_first, out);
       },
@@ -139,8 +136,8 @@ void bind_packets_ouster(nb::module_& module) {
       [](Rows<const std::uint32_t> values, View<const std::array<std::int64_t, 3>> bits, const Layout& layout,
          Rows<Byte> packets) {
         check(layout, packets);
-        require(values.rows() == std::ssize(bits), "values: a row for each field");
-        require(values.columns() == packets.rows() * layout.packet_pixels(), "values: one for each pixel");
+        require(has_shape(values, std::ssize(bits), packets.rows() * layout.packet_pixels()),
+                "values: for each field, one for each pixel");
         pack_fields(values, fields_of(bits, layout), layout, packets);
       },
       "Write fields (F, N) at bits (F, 3: word, shift, mask) into the pixels of packets (P, size).", "values", "bits",
@@ -150,8 +147,8 @@ void bind_packets_ouster(nb::module_& module) {
       [](Rows<const Byte> packets, View<const std::array<std::int64_t, 3>> bits, const Layout& layout,
          Rows<std::uint32_t> out) {
         check(layout, packets);
-        require(out.rows() == std::ssize(bits), "out: a row for each field");
-        require(out.columns() == packets.rows() * layout.packet_pixels(), "out: one for each pixel");
+        require(has_shape(out, std::ssize(bits), packets.rows() * layout.packet_pixels()),
+                "out: for each field, one for each pixel");
         unpack_fields(packets, fields_of(bits, layout), layout, out);
       },
       "Read fields at bits (F, 3: word, shift, mask) from the pixels of packets (P, size) to out (F, N).", "packets",

@@ -113,11 +113,6 @@ void check_places(View<const std::int64_t> which, Index places) {
   }
 }
 
-template <class T>
-void check_table(Rows<T> table, Index places, const Scanners& scanners, const char* message) {
-  require(table.rows() == places && table.columns() == std::ssize(scanners), message);
-}
-
 void check_phases(const Scanners& scanners) {
   for (const Scanner* one : scanners) {
     require(one->phases() < 128, "scanners: too many phases");
@@ -229,10 +224,8 @@ By the mean over phases; or, as soon as it is known to be at least `most`, any n
         check_places(which, self.places(object));
         const auto places = static_cast<Index>(which.size());
         const auto sensors = static_cast<Index>(scanners.size());
-        require(counts.rows() == places && counts.columns() == sensors,
-                "counts: a row for each place, a column for each sensor");
-        require(phases.rows() == places && phases.columns() == sensors,
-                "phases: a row for each place, a column for each sensor");
+        require(has_shape(counts, places, sensors), "counts: a row for each place, a column for each sensor");
+        require(has_shape(phases, places, sensors), "phases: a row for each place, a column for each sensor");
         require(cap >= 1 && cap < 1 << 24, "cap: not from 1 to 2^24");
         self.lowest(rig.at(), object, which, cap, wanted, {counts, phases});
       },
@@ -273,7 +266,8 @@ void bind_returns(nb::module_& module) {
         const std::vector<SensorPose> poses = poses_of(std::ssize(scanners), R, t);
         check_places(which, std::ssize(places));
         require(std::ssize(counts) == std::ssize(places), "counts: one for each place");
-        check_table(phases, std::ssize(places), scanners, "phases: a row for each place, a column for each scanner");
+        require(has_shape(phases, std::ssize(places), std::ssize(scanners)),
+                "phases: a row for each place, a column for each scanner");
         check_phases(scanners);
         require(tolerance_m > 0, "tolerance_m: not above 0");
         require(0 <= lost && lost < std::ssize(scanners), "lost: not below the number of scanners");

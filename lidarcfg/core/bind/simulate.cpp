@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <limits>
 
-#include "angles.h"
 #include "bind/arguments.h"
 #include "bind/modules.h"
 #include "simulate/echoes.h"
@@ -74,11 +73,6 @@ struct From<world::Pose> {  // from a homogeneous matrix (4, 4)
 
 namespace {
 
-template <class T>
-bool is_shape(const Rows<T>& table, Index rows, Index columns) {
-  return table.rows() == rows && table.columns() == columns;
-}
-
 void bind_echoes(nb::module_& module) {
   def(
       module, "merge_echoes",
@@ -89,18 +83,17 @@ void bind_echoes(nb::module_& module) {
         const Index width = std::ssize(weights);
         require(width > 0, "weights: at least one");
         require(rays.range_m.columns() == width, "rays.range_m: a column for each weight");
-        require(is_shape(rays.reflectivity, count, width), "rays.reflectivity: one for each range");
-        require(is_shape(rays.object, count, width), "rays.object: one for each range");
-        require(is_shape(rays.cosine, count, width), "rays.cosine: one for each range");
+        require_columns(rays, "rays", "one for each range",
+                        std::tuple(&SubRays::reflectivity, &SubRays::object, &SubRays::cosine), count, width);
         require(std::ssize(rays.laser) == count, "rays.laser: one for each row of ranges");
         require(droplets.rows() == (fade.rows() ? count : 0), "droplets: one for each firing, or none without fade");
-        require(!fade.rows() || is_shape(fade, count, width + 1), "fade: one for each ray and one more, or none");
+        require(!fade.rows() || has_shape(fade, count, width + 1), "fade: one for each ray and one more, or none");
         const Index columns = std::ssize(which);
         require(std::all_of(which.begin(), which.end(), [](std::uint8_t one) { return one < candidates; }),
                 "which: below six");
-        require(is_shape(out.range_m, count, columns), "out.range_m: one for each firing and of which");
-        require(is_shape(out.reflectivity, count, columns), "out.reflectivity: one for each firing and of which");
-        require(is_shape(out.object, count, columns), "out.object: one for each firing and of which");
+        require_columns(out, "out", "one for each firing and of which",
+                        std::tuple(&Candidates::range_m, &Candidates::reflectivity, &Candidates::object), count,
+                        columns);
         merge_echoes(rays, weights, {range_max_m, step_rad, least}, {droplets, fade},
                      {reinterpret_cast<const Candidate*>(which.data()), which.size()}, out);
       },
@@ -122,19 +115,17 @@ void require_surfaces(const Surfaces& surfaces, Index slots) {
 
 void require_lasers(const Lasers& lasers) {
   const std::size_t count = lasers.cos_elevation.size();
-  require(lasers.sin_elevation.size() == count, "lasers.sin_elevation: one for each laser");
-  require(lasers.cos_offset.size() == count, "lasers.cos_offset: one for each laser");
-  require(lasers.sin_offset.size() == count, "lasers.sin_offset: one for each laser");
-  require(lasers.forward_m.size() == count, "lasers.forward_m: one for each laser");
-  require(lasers.left_m.size() == count, "lasers.left_m: one for each laser");
-  require(lasers.up_m.size() == count, "lasers.up_m: one for each laser");
+  require_columns(lasers, "lasers", "one for each laser",
+                  std::tuple(&Lasers::sin_elevation, &Lasers::cos_offset, &Lasers::sin_offset, &Lasers::forward_m,
+                             &Lasers::left_m, &Lasers::up_m),
+                  count);
   require(lasers.across.size() == thin || lasers.across.size() == wide, "lasers.across: one or nine");
   require(lasers.above.size() == lasers.across.size(), "lasers.above: one for each of lasers.across");
 }
 
 void require_firings(const Firings& firings, const Lasers& lasers) {
-  require(firings.laser.size() == firings.time_ns.size(), "firings.laser: one for each time");
-  require(firings.encoder_rad.size() == firings.time_ns.size(), "firings.encoder_rad: one for each time");
+  require_columns(firings, "firings", "one for each time", std::tuple(&Firings::laser, &Firings::encoder_rad),
+                  firings.time_ns.size());
   require(firings.elevation_rad.empty() || firings.elevation_rad.size() == firings.time_ns.size(),
           "firings.elevation_rad: one for each time, or none");
   require(std::all_of(firings.laser.begin(), firings.laser.end(),
@@ -152,10 +143,9 @@ void bind_trace(nb::module_& module) {
         require_firings(firings, lasers);
         const Index count = std::ssize(firings.time_ns);
         const Index width = std::ssize(lasers.across);
-        require(is_shape(hits.range_m, count, width), "hits.range_m: one for each ray");
-        require(is_shape(hits.reflectivity, count, width), "hits.reflectivity: one for each ray");
-        require(is_shape(hits.object, count, width), "hits.object: one for each ray");
-        require(!hits.cosine.rows() || is_shape(hits.cosine, count, width), "hits.cosine: one for each ray, or none");
+        require_columns(hits, "hits", "one for each ray",
+                        std::tuple(&Hits::range_m, &Hits::reflectivity, &Hits::object), count, width);
+        require(!hits.cosine.rows() || has_shape(hits.cosine, count, width), "hits.cosine: one for each ray, or none");
         trace_firings({world, bodies, surfaces, lasers, mounting, zero_ns, limit_m}, firings, hits);
       },
       R"(Write what the K rays (N, K) of N firings hit within a limit, K being 1 or 9; `cosine` may be without rows.
@@ -176,13 +166,6 @@ void bind_simulate(nb::module_& module) {
   record<Candidates>(module, "Candidates", "Candidates of N firings, to be written.");
   bind_echoes(module);
   bind_trace(module);
-  def(
-      module, "cos_sin",
-      [](double angle_rad) {
-        const auto [cos, sin] = cos_sin(angle_rad);
-        return std::tuple(cos, sin);
-      },
-      "Cosine and sine, the same on every processor; the error is some 2e-16 up to many revolutions.", "angle_rad");
 }
 
 }  // namespace lidarcfg::bind

@@ -81,22 +81,18 @@ void check_placed(const Placed& placed, Index count, Index lidars) {
   check_obstacles(placed.obstacles);
 }
 
-void check_flags(Rows<const bool> flags, Index count, Index lidars, const char* message) {
-  require(flags.rows() == count && flags.columns() == lidars, message);
-}
-
 void check_batch(const TrialEvaluator& evaluator, const Batch& batch, const BatchResult& result) {
   const Index count = std::ssize(batch.source);
   const Index lidars = evaluator.lidars();
   const Index rows = evaluator.grid().rows();
   check_placed(batch.placed, count, lidars);
   require(std::ssize(batch.upper_bound) == count, "upper_bound: one for each trial");
-  check_flags(batch.moved, count, lidars, "moved: a flag for each LiDAR of each trial");
-  check_flags(batch.same_position, count, lidars, "same_position: a flag for each LiDAR of each trial");
+  require_columns(batch, "batch", "a flag for each LiDAR of each trial",
+                  std::tuple(&Batch::moved, &Batch::same_position), count, lidars);
   require(batch.certificates.rows() == count, "certificates: a row for each trial");
-  require(batch.links.tables() == 0 || (batch.links.rows() == lidars && batch.links.columns() == rows),
+  require(batch.links.tables() == 0 || has_shape(batch.links, batch.links.tables(), lidars, rows),
           "links: of each LiDAR, a row for each of the grid's");
-  require(batch.clear.tables() == 0 || (batch.clear.rows() == lidars && batch.clear.columns() == rows),
+  require(batch.clear.tables() == 0 || has_shape(batch.clear, batch.clear.tables(), lidars, rows),
           "clear: of each LiDAR, a word for each row of the grid");
   for (Index trial = 0; trial < count; ++trial) {
     const Index source = batch.source[trial];
@@ -111,13 +107,13 @@ void check_batch(const TrialEvaluator& evaluator, const Batch& batch, const Batc
               "certificates: not a cuboid of a case");
     }
   }
-  require(std::ssize(result.cost) == count, "cost: one for each trial");
-  require(std::ssize(result.refuted_by) == count, "refuted_by: one for each trial");
-  require(result.certificates.rows() == count && result.certificates.columns() == evaluator.certificates(),
-          "result.certificates: as many for each trial as the evaluator finds");
-  require(result.links.rows() == 0 || (result.links.rows() == count && result.links.columns() == rows),
+  using R = BatchResult;
+  require_columns(result, "result", "one for each trial", std::tuple(&R::cost, &R::refuted_by), count);
+  require_columns(result, "result", "as many for each trial as the evaluator finds", std::tuple(&R::certificates),
+                  count, evaluator.certificates());
+  require(result.links.rows() == 0 || has_shape(result.links, count, rows),
           "result.links: for each trial a row for each of the grid's, or none");
-  require(result.clear.rows() == 0 || (result.clear.rows() == count && result.clear.columns() == rows),
+  require(result.clear.rows() == 0 || has_shape(result.clear, count, rows),
           "result.clear: for each trial a word for each row of the grid, or none");
   require(result.clear.rows() == 0 || batch.placed.limited(), "result.clear: none where everything is seen");
 }
@@ -128,8 +124,8 @@ void check_sources(const TrialEvaluator& evaluator, const Sources& sources) {
   const Index rows = evaluator.grid().rows();
   const bool limited = sources.placed.limited();
   check_placed(sources.placed, count, lidars);
-  check_flags(sources.changed, count, lidars, "changed: a flag for each LiDAR of each source");
-  check_flags(sources.same_position, count, lidars, "same_position: a flag for each LiDAR of each source");
+  require_columns(sources, "sources", "a flag for each LiDAR of each source",
+                  std::tuple(&Sources::changed, &Sources::same_position), count, lidars);
   require(sources.links.rows() == lidars && sources.links.columns() == rows,
           "links: of each LiDAR, a row for each of the grid's");
   require(!limited || (sources.clear.rows() == lidars && sources.clear.columns() == rows),
@@ -182,7 +178,7 @@ std::tuple<std::vector<std::int64_t>, Array<std::int64_t, 2>, std::vector<std::i
   for (Index row = 0; row < grid.rows(); ++row) {
     require((links[row] & grid.links[row]) == links[row], "links: not of neighbours in the grid");
   }
-  require(label.tables() == nx && label.rows() == ny && label.columns() == nz, "label: of the grid's shape");
+  require(has_shape(label, nx, ny, nz), "label: of the grid's shape");
   require(label.size() < std::numeric_limits<std::int32_t>::max(), "label: fewer than 2^31 cuboids");
   Components found = label_components(grid, links, label);
   const std::size_t count = found.cuboids.size();

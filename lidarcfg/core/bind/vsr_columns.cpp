@@ -14,12 +14,7 @@ namespace {
 
 using vsr::Labels;
 
-template <class T>
-bool has_shape(const Tables<T>& lines, Index tables, Index rows, Index columns) {
-  return lines.tables() == tables && lines.rows() == rows && lines.columns() == columns;
-}
-
-/// Whether something of each of `count` has the lines along x, y and z of a grid.
+/// Raises ValueError unless something of each of `count` has the lines along x, y and z of a grid.
 template <class T>
 void check_lines(const Labels& label, Index count, const Tables<T>& x, const Tables<T>& y, const Tables<T>& z) {
   require(has_shape(x, count, label.rows(), label.columns()), "x: not the lines along x");

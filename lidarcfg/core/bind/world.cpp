@@ -244,8 +244,7 @@ void bind_solids(nb::module_& module) {
           require(0 <= lines(t, 0) && lines(t, 1) <= std::ssize(y), "lines: indices of y first");
           require(0 <= lines(t, 2) && lines(t, 3) <= std::ssize(z), "lines: indices of z last");
         }
-        require(odd.tables() == std::ssize(y) && odd.rows() == std::ssize(z) && odd.columns() == std::ssize(x) + 1,
-                "odd: of another size");
+        require(has_shape(odd, std::ssize(y), std::ssize(z), std::ssize(x) + 1), "odd: of another size");
         world::toggle_lines(vertices, triangles, lines, x, y, z, odd);
       },
       "Toggle odd (ny, nz, nx + 1) at the first point beyond each triangle on lines (T, 4) along x that cross it.",

@@ -31,8 +31,8 @@ inline void check_obstacles(const world::Obstacles& obstacles) {
 
 /// Raises ValueError unless found has a row for each ray, or none where a column is not asked for.
 inline void require_rows(const world::Found& found, Index rays) {
-  require(std::ssize(found.range_m) == rays, "found.range_m: one for each ray");
-  require(std::ssize(found.slot) == rays, "found.slot: one for each ray");
+  using F = world::Found;
+  require_columns(found, "found", "one for each ray", std::tuple(&F::range_m, &F::slot), rays);
   require(found.normal.empty() || std::ssize(found.normal) == rays, "found.normal: one for each ray, or none");
   require(found.cosine.empty() || std::ssize(found.cosine) == rays, "found.cosine: one for each ray, or none");
 }
