@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.geometry import Array
 from lidarcfg.packets.families import pattern
-from lidarcfg.requirements.sight import Bounds
 from lidarcfg.returns.scanners import PHASES
 from lidarcfg.sensors.firing import CycleBeams
 from lidarcfg.sensors.rig import Mount
 
 ROUNDING = 1e-9  # metres, radians, and beams
+
+Bounds = Sequence[tuple[Array, Array]]  # (3,) each: lower and upper corners of boxes in the vehicle frame
 
 
 @dataclass(frozen=True)

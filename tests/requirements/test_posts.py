@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.requirements.post_visibility import STEP_M, PostPlaces, post_visibility
+from lidarcfg.returns.post_visibility import STEP_M, PostPlaces, post_visibility
 from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.tracer import NO_OBSTACLES
 from tests.returns_cases import box, mount

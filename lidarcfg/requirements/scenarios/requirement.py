@@ -12,26 +12,15 @@ from pydantic import Field, PlainSerializer, SerializationInfo
 
 from lidarcfg.config.models import path_from
 from lidarcfg.errors import ConfigError
-from lidarcfg.requirements.approach import VehicleExtent
-from lidarcfg.requirements.braking import EMERGENCY, Braking, BrakingOrName
-from lidarcfg.requirements.context import Context
+from lidarcfg.requirements.allowed_rigs import Bounds
 from lidarcfg.requirements.evidence import Evidence
-from lidarcfg.requirements.kind import Clusters, Entry, Judge, Kind, Lost, Requirement, Returns
-from lidarcfg.requirements.scenario_file import Scenario, Speeds, load_scenario
-from lidarcfg.requirements.scenario_run import (
-    NO_SPEEDS,
-    RETURNS,
-    Rule,
-    ScenarioCase,
-    ScenarioResult,
-    approach_of,
-    check_scenario,
-)
-from lidarcfg.requirements.sight import Bounds
+from lidarcfg.requirements.judge import PlainRequirement
+from lidarcfg.requirements.kind import Clusters, Context, Entry, Kind, Lost, Returns
+from lidarcfg.requirements.scenarios.approach import EMERGENCY, Braking, BrakingOrName, VehicleExtent, approach_of
+from lidarcfg.requirements.scenarios.file import Scenario, Speeds, load_scenario
+from lidarcfg.requirements.scenarios.run import NO_SPEEDS, RETURNS, Rule, ScenarioCase, ScenarioResult, check_scenario
 from lidarcfg.requirements.verdict import RequirementVerdict, WorstPlace
-from lidarcfg.requirements.zone import body_of
 from lidarcfg.returns.counts import OnPlaces, no_progress
-from lidarcfg.returns.known import Share
 from lidarcfg.returns.target import ObjectOrName
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.vehicle import Vehicle
@@ -68,21 +57,20 @@ class ScenarioKind(Kind):
         """The requirement of a study. Raises ConfigError with file, line and key."""
         lost = entry.lost(self.lost, context)
         site = context.site
-        body_of(entry, site)
-        assert site.vehicle
+        vehicle, _ = entry.vehicle(site)
         with entry.errors_at("scenario"):
             scenario = load_scenario(self.scenario, entry.path.parent, self.target)
             speeds_km_h = self.speeds_km_h or scenario.file.speeds_km_h
             if not speeds_km_h:
                 raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
             braking = self.braking or EMERGENCY
-            extent = VehicleExtent.of(site.vehicle)
+            extent = VehicleExtent.of(vehicle)
             for speed_km_h, impact in product(speeds_km_h, scenario.file.impacts):
                 approach_of(scenario, extent, speed_km_h, impact, site.ground_m, braking)
         return ScenarioRequirement(
             name=self.name,
             scenario=scenario,
-            vehicle=site.vehicle,
+            vehicle=vehicle,
             speeds_km_h=speeds_km_h,
             rule=Rule(self.returns or RETURNS, self.cluster_m),
             braking=braking,
@@ -93,7 +81,7 @@ class ScenarioKind(Kind):
 
 
 @dataclass(frozen=True)
-class ScenarioRequirement(Requirement, Judge):
+class ScenarioRequirement(PlainRequirement):
     """A scenario's target is detected in time to brake at all speeds."""
 
     is_slow: ClassVar[bool] = True
@@ -111,10 +99,6 @@ class ScenarioRequirement(Requirement, Judge):
     def work(self) -> int:
         """About the number of places that would take as long, for progress."""
         return PLACES_PER_CASE * len(self.speeds_km_h) * len(self.scenario.file.impacts)
-
-    def judge_with(self, share: Share | None = None) -> "ScenarioRequirement":
-        """Itself: nothing is kept."""
-        return self
 
     def check(
         self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.place_counts import LOWEST, Measured, lowest_of
 from lidarcfg.returns.places import Stand
+from lidarcfg.returns.reach import LOWEST, Measured, lowest_of
 
 LOWEST_SHADOWED = 32  # of those in narrow shadows
 ROUNDS_MAX = 200  # of walking to lower counts at the finest spacing
