@@ -29,7 +29,6 @@ from lidarcfg.returns.reach import (
     Measured,
     Reach,
     Rows,
-    SumReach,
     lowest_of,
     positions,
     reached,
@@ -185,15 +184,6 @@ class PlaceCounts:
     cap: int
 
 
-@dataclass(frozen=True)
-class RefinedOf:
-    """The measurements of a rig's mounts."""
-
-    mounts: tuple[Mount, ...]
-    cap: int
-    refined: Refined
-
-
 class ObjectJudge(Judge):
     """Judges rigs by one object requirement: a verdict, or for searches ever greater lower bounds of the shortfall."""
 
@@ -201,13 +191,13 @@ class ObjectJudge(Judge):
         """`share`: the places where it counts, of which what is known is kept; without it those of the base grid."""
         self.item = item
         share = share or shares([item.standing], item.obstacles)[0]
-        self.reach: Reach = SumReach(share, item.lost, item.sensors)
+        self.reach = Reach(share, item.lost, item.sensors)
         if item.cluster_m is not None:
             rule = ClusterRule(item.cluster_m, item.stand.ground_m + LOW_M)
             self.reach = ClusterReach(share, item.lost, item.sensors, rule)
         self.places = self.reach.places  # (P, 4)
         self._silhouettes = Silhouettes(item.obstacles)
-        self._latest: RefinedOf | None = None
+        self._latest: tuple[tuple[Mount, ...], int, Refined] | None = None  # a rig, the cap, what it reaches
         self._weight = np.zeros(len(self.places))  # what places counted for in earlier batches of trials
         self._of_batch = np.zeros(len(self.places))  # and in this one
         self._order: Rows = np.arange(len(self.places))
@@ -297,14 +287,13 @@ class ObjectJudge(Judge):
 
         Of mounts just looked at, as kept. With `stops` it ends once fewer returns than demanded are found.
         """
-        known = self._latest
-        if known and known.mounts == tuple(mounts) and known.cap == cap:
-            return known.refined
+        if self._latest and self._latest[:2] == (tuple(mounts), cap):
+            return self._latest[2]
         found = Refined(base, base, 0.0, 0.0)
         for found in self._rounds(mounts, base, on_places):
             if stops and found.every.values.min() < self.item.returns:
                 return found
-        self._latest = RefinedOf(tuple(mounts), cap, found)
+        self._latest = tuple(mounts), cap, found
         return found
 
     def _rounds(self, mounts: Sequence[Mount], base: Measured, on_places: OnPlaces = no_progress) -> Iterator[Refined]:

@@ -4,7 +4,6 @@ Each sensor is in its worst phase, and those sensors are lost whose loss is the 
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -47,8 +46,8 @@ class Measured:
         )
 
 
-class Reach(ABC):
-    """What rigs reach at the places of a share, and at others."""
+class Reach:
+    """What rigs reach at the places of a share, and at others: returns of all sensors together, or of each alone."""
 
     def __init__(self, share: Share, lost: int, sensors: int | None) -> None:
         """With `lost` sensors gone. `sensors`: the number of those that get it, each alone; None: all together."""
@@ -57,49 +56,8 @@ class Reach(ABC):
         self._lost = lost
         self._sensors = sensors
 
-    @property
-    def _wanted(self) -> int:
-        """How many sensors with more returns than matter make the others' counts needless."""
-        return max(self._lost, 1) + (self._sensors or 1)
-
-    @abstractmethod
     def measured(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Measured:
         """What a rig reaches at the share's places, exact below the cap; what is known of it is kept."""
-
-    @abstractmethod
-    def measured_at(
-        self, places: Array, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress
-    ) -> Measured:
-        """What a rig reaches at other places (P, 4)."""
-
-    @abstractmethod
-    def in_cases(self, rig: RigAt, rows: Rows, cap: int) -> Counts:
-        """(cases, n) what a rig reaches at some of the share's places in each case of failure, exact below the cap."""
-
-    @abstractmethod
-    def by_case(self, measured: Measured) -> list[Counts]:
-        """(P,) each: what is reached in each case of failure where it was measured."""
-
-    @abstractmethod
-    def lost_at(self, measured: Measured, at: int) -> list[int]:
-        """The sensors that are lost in the worst case at one of the places."""
-
-    @abstractmethod
-    def without_each(
-        self, measured: Measured, mounts: Sequence[Mount], cap: int, deciding: Deciding
-    ) -> Iterator[Counts]:
-        """(P,) what is reached at measured places without each of the mounts in turn, exact below the cap."""
-
-    def notes(self, mounts: Sequence[Mount]) -> list[str]:
-        """What a verdict says of how it was counted."""
-        return []
-
-
-class SumReach(Reach):
-    """Returns, of all sensors together or of each alone."""
-
-    def measured(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Measured:
-        """As Reach.measured."""
         rig = self._share.known.rig(mounts)
         lowest = self._share.lowest(rig, cap, self._wanted, on_places=on_places)
         return Measured(self.places, reached(lowest.counts, self._lost, self._sensors), lowest)
@@ -107,23 +65,21 @@ class SumReach(Reach):
     def measured_at(
         self, places: Array, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress
     ) -> Measured:
-        """As Reach.measured_at."""
-        share = self._share
-        lowest = lowest_at(places, share.target, mounts, share.known.obstacles, cap, self._wanted, on_places)
+        """What a rig reaches at other places (P, 4)."""
+        lowest = self._lowest_at(places, mounts, cap, on_places)
         return Measured(places, reached(lowest.counts, self._lost, self._sensors), lowest)
 
     def in_cases(self, rig: RigAt, rows: Rows, cap: int) -> Counts:
-        """As Reach.in_cases."""
+        """(cases, n) what a rig reaches at some of the share's places in each case of failure, exact below the cap."""
         counts = self._share.lowest(rig, cap, self._lost + (self._sensors or 1), rows, threads=1).counts
-        return np.stack([reached(counts[:, kept], 0, self._sensors) for kept in cases(len(rig.t), self._lost)])
+        return self._by_case(counts)
 
-    def by_case(self, measured: Measured) -> list[Counts]:
-        """As Reach.by_case."""
-        counts = measured.lowest.counts
-        return [reached(counts[:, kept], 0, self._sensors) for kept in cases(counts.shape[1], self._lost)]
+    def by_case(self, measured: Measured) -> Counts:
+        """(cases, P) what is reached in each case of failure where it was measured."""
+        return self._by_case(measured.lowest.counts)
 
     def lost_at(self, measured: Measured, at: int) -> list[int]:
-        """As Reach.lost_at; to lose one that sees nothing changes nothing."""
+        """The sensors that are lost in the worst case at one of the places; to lose one that sees nothing is none."""
         counts = measured.lowest.counts[at]
         gone = np.argsort(-counts, kind="stable")[: self._lost]
         return sorted(gone[counts[gone] > 0].tolist())
@@ -131,35 +87,40 @@ class SumReach(Reach):
     def without_each(
         self, measured: Measured, mounts: Sequence[Mount], cap: int, deciding: Deciding
     ) -> Iterator[Counts]:
-        """As Reach.without_each."""
+        """(P,) what is reached at measured places without each of the mounts in turn, exact below the cap."""
         for n in range(len(mounts)):
             yield reached(np.delete(measured.lowest.counts, n, axis=1), 0, self._sensors)
 
+    def notes(self, mounts: Sequence[Mount]) -> list[str]:
+        """What a verdict says of how it was counted."""
+        return []
 
-@dataclass(frozen=True)
-class _Clustered:
-    """The clusters that a rig gets at the share's places, which take long to find."""
+    @property
+    def _wanted(self) -> int:
+        """How many sensors with more returns than matter make the others' counts needless."""
+        return max(self._lost, 1) + (self._sensors or 1)
 
-    mounts: tuple[Mount, ...]
-    cap: int
-    measured: Measured
+    def _lowest_at(self, places: Array, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Lowest:
+        share = self._share
+        return lowest_at(places, share.target, mounts, share.known.obstacles, cap, self._wanted, on_places)
+
+    def _by_case(self, counts: NDArray[np.int32]) -> Counts:
+        return np.stack([reached(counts[:, kept], 0, self._sensors) for kept in cases(counts.shape[1], self._lost)])
 
 
 class ClusterReach(Reach):
-    """Points of the largest cluster of returns, of all sensors together or of each alone."""
+    """The same of the points of the largest cluster, which take long to find."""
 
     def __init__(self, share: Share, lost: int, sensors: int | None, rule: ClusterRule) -> None:
         super().__init__(share, lost, sensors)
         self._rule = rule
-        self._latest: _Clustered | None = None
+        self._latest: tuple[tuple[Mount, ...], int, Measured] | None = None  # a rig, the cap, what it reaches
 
     def measured(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Measured:
         """As Reach.measured; of the latest rig all is kept."""
-        known = self._latest
-        if known is None or known.mounts != tuple(mounts) or known.cap < cap:
-            known = _Clustered(tuple(mounts), cap, self.measured_at(self.places, mounts, cap, on_places))
-            self._latest = known
-        return known.measured
+        if self._latest is None or self._latest[0] != tuple(mounts) or self._latest[1] < cap:
+            self._latest = tuple(mounts), cap, self.measured_at(self.places, mounts, cap, on_places)
+        return self._latest[2]
 
     def measured_at(
         self, places: Array, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress
@@ -173,9 +134,9 @@ class ClusterReach(Reach):
         found = self._clusters(self.places[rows], scanners, poses, cap, self._lost, threads=1)
         return found.counts[:, 0].astype(np.int64)[None]
 
-    def by_case(self, measured: Measured) -> list[Counts]:
-        """As Reach.by_case: in the worst case."""
-        return [measured.values]
+    def by_case(self, measured: Measured) -> Counts:
+        """As Reach.by_case: (1, P) in the worst case."""
+        return measured.values[None]
 
     def lost_at(self, measured: Measured, at: int) -> list[int]:
         """As Reach.lost_at."""
@@ -186,9 +147,7 @@ class ClusterReach(Reach):
         self, measured: Measured, mounts: Sequence[Mount], cap: int, deciding: Deciding
     ) -> Iterator[Counts]:
         """As Reach.without_each, at the lowest places alone, as clusters take long to find; elsewhere at most this."""
-        share = self._share
-        obstacles = share.known.obstacles
-        counts = lowest_at(measured.places, share.target, mounts, obstacles, cap, self._wanted).counts
+        counts = self._lowest_at(measured.places, mounts, cap).counts
         for n in range(len(mounts)):
             values = reached(np.delete(counts, n, axis=1), 0, self._sensors)
             if not self._lost:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -100,28 +99,8 @@ class ScenarioRequirement(PlainRequirement):
         """About the number of places that would take as long, for progress."""
         return PLACES_PER_CASE * len(self.speeds_km_h) * len(self.scenario.file.impacts)
 
-    def check(
-        self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
-    ) -> "ScenarioOutcome":
-        """The outcome for a rig. Raises ConfigError."""
-        return ScenarioOutcome(
-            self,
-            check_scenario(
-                self.scenario,
-                mounts,
-                self.vehicle,
-                speeds_km_h=self.speeds_km_h,
-                rule=self.rule,
-                braking=self.braking,
-                losses=sorted({0, self.lost, min(1, len(mounts) - 1)}),
-                bounds=self.sensor_bounds,
-                ground_m=self.ground_m,
-                on_progress=on_progress,
-            ),
-        )
-
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
-        """The verdict on a rig; `on_places` is told how much more of `work` is done. Raises ConfigError."""
+        """The verdict on a rig, in seconds before the last moment to brake. Raises ConfigError."""
         done = 0
 
         def on_progress(fraction: float) -> None:
@@ -130,43 +109,12 @@ class ScenarioRequirement(PlainRequirement):
             on_places(now - done)
             done = now
 
-        return self.check(mounts, on_progress).verdict
-
-    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
-        """The evidence for a verdict on a rig."""
-        return Evidence(found, frames=self.check(mounts).result)
-
-
-@dataclass(frozen=True)
-class ScenarioOutcome:
-    """The outcome of a scenario requirement for a rig."""
-
-    requirement: ScenarioRequirement
-    tried: ScenarioResult  # also with each single sensor lost, whether that is asked for or not
-
-    @cached_property
-    def result(self) -> ScenarioResult:
-        """The result of the runs with as many sensors lost as the requirement says, and with all sensors."""
-        return self.tried.with_lost(0, self.requirement.lost)
-
-    @property
-    def breaking(self) -> tuple[str, ...]:
-        """The sensors whose failure, each alone, breaks the requirement."""
-        out = []
-        for n, name in enumerate(self.tried.sensor_names):
-            runs = [run for case in self.tried.cases for run in case.runs if run.lost == (n,)]
-            if any(run.margin_s < 0.0 for run in runs):
-                out.append(name)
-        return tuple(out)
-
-    @property
-    def verdict(self) -> RequirementVerdict:
-        """The verdict, in seconds before the last moment to brake."""
-        found = self.result
+        tried = self._tried(mounts, on_progress)
+        found = tried.with_lost(0, self.lost)
         case = found.worst
         worst = case.worst
         return RequirementVerdict(
-            name=self.requirement.name,
+            name=self.name,
             kind=ScenarioKind.key,
             passed=found.met,
             unit="s",
@@ -175,9 +123,34 @@ class ScenarioOutcome:
             at_most=False,
             shortfall=found.shortfall,
             worst=_place(case),
-            lost=tuple(found.sensor_names[n] for n in worst.lost),
-            breaking=self.breaking,
+            lost=tuple(mounts[n].name for n in worst.lost),
+            breaking=tuple(mount.name for n, mount in enumerate(mounts) if tried.fails_without(n)),
             notes=_notes(found, case),
+        )
+
+    def result(self, mounts: Sequence[Mount]) -> ScenarioResult:
+        """The runs of a rig with as many sensors lost as the requirement says, and with all sensors."""
+        return self._tried(mounts).with_lost(0, self.lost)
+
+    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
+        """The evidence for a verdict on a rig."""
+        return Evidence(found, frames=self.result(mounts))
+
+    def _tried(
+        self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
+    ) -> ScenarioResult:
+        """The runs of a rig, also with each single sensor lost, whether that is asked for or not."""
+        return check_scenario(
+            self.scenario,
+            mounts,
+            self.vehicle,
+            speeds_km_h=self.speeds_km_h,
+            rule=self.rule,
+            braking=self.braking,
+            losses=sorted({0, self.lost, min(1, len(mounts) - 1)}),
+            bounds=self.sensor_bounds,
+            ground_m=self.ground_m,
+            on_progress=on_progress,
         )
 
 

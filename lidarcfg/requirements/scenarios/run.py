@@ -290,6 +290,10 @@ class ScenarioResult:
         cases = [replace(case, runs=tuple(run for run in case.runs if len(run.lost) in counts)) for case in self.cases]
         return replace(self, cases=tuple(cases))
 
+    def fails_without(self, sensor: int) -> bool:
+        """Whether the target is detected too late in any run in which this sensor alone is lost."""
+        return any(run.margin_s < 0.0 for case in self.cases for run in case.runs if run.lost == (sensor,))
+
     @property
     def met(self) -> bool:
         """Whether the target is detected in time, always."""
