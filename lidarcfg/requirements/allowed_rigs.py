@@ -40,6 +40,17 @@ class AllowedRigs:
         """The greatest range of any sensor."""
         return max((_range_m(mount) for one in self.sensors for mount in one.mounts), default=0.0)
 
+    def beyond_range(self, at_m: Array, box_m: tuple[Array, Array]) -> str | None:
+        """Whether an object at some of the places (N, 3) is out of reach; its box is relative to its place."""
+        distance_m = self.distance_m(at_m)
+        radius_m = math.hypot(*np.maximum(abs(box_m[0]), abs(box_m[1])))
+        far = int(distance_m.argmax())
+        if distance_m[far] <= self.range_m + self.start_m + radius_m + ROUNDING:
+            return None
+        x, y, _ = at_m[far]
+        far_m = f"({x:.2f}, {y:.2f}) is {distance_m[far]:.1f} m from the bounds of all sensors"
+        return f"{far_m}, and no range exceeds {self.range_m:g} m"
+
     @property
     def start_m(self) -> float:
         """The farthest that a beam starts from its sensor."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.allowed_rigs import ROUNDING, AllowedRigs
+from lidarcfg.requirements.allowed_rigs import AllowedRigs
 from lidarcfg.requirements.evidence import Evidence, MountMargins, sensor_views, with_one_off
 from lidarcfg.requirements.judge import NO_PLACES, Judge, Requirement, TrialRig
 from lidarcfg.requirements.robustness import Robust, off_by_draws
@@ -23,7 +23,6 @@ from lidarcfg.returns.counts import LOW_M, ClusterRule, OnPlaces, no_progress
 from lidarcfg.returns.known import Share, Standing, lowest_at, shares
 from lidarcfg.returns.places import FINEST_M, FINEST_RAD, Stand
 from lidarcfg.returns.reach import (
-    LOWEST,
     ClusterReach,
     Counts,
     Measured,
@@ -34,13 +33,11 @@ from lidarcfg.returns.reach import (
     reached,
 )
 from lidarcfg.returns.refinement import Refined, Refinement
-from lidarcfg.returns.silhouettes import Core, Silhouettes, centres_of
 from lidarcfg.returns.target import Target
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.tracer import Obstacles
 
 KEY = "object"
-REFINED_WORK = 4  # of a refined place, by that of one of the base grid: they lie where it takes long to count
 CAP_MIN = 16  # returns of a sensor at a place; more are counted only if nothing is lower anywhere
 CAP_FACTOR = 4  # by which the cap grows then
 CAP_MAX = 1 << 23
@@ -134,27 +131,10 @@ class ObjectRequirement(Requirement):
         """(n,) the relative shortfalls, with the sensors lost whose loss is the worst; of a fraction the best."""
         return np.asarray(1 - self.counted(places, reached(counts, self.lost, self.sensors)) / self.returns)
 
-    # Why no rig can meet it:
-
     def out_of_reach(self, rigs: AllowedRigs) -> str | None:
         """Why no rig can meet it, if that is certain: some place is out of range, or too few beams reach some."""
-        return self._beyond_range(rigs) or self._too_few_beams(rigs)
-
-    def _beyond_range(self, rigs: AllowedRigs) -> str | None:
-        """Whether some place is farther from all bounds than any sensor's range."""
-        if self.at_least < 1:
-            return None
-        at = self.stand.base[:, :3]
-        distance_m = rigs.distance_m(at)
-        low, high = self.target.box_m
-        radius_m = math.hypot(*np.maximum(abs(low), abs(high)))
-        far = int(distance_m.argmax())
-        most_m = rigs.range_m
-        if distance_m[far] <= most_m + rigs.start_m + radius_m + ROUNDING:
-            return None
-        x, y = at[far, :2]
-        far_m = f"({x:.2f}, {y:.2f}) is {distance_m[far]:.1f} m from the bounds of all sensors"
-        return f"{far_m}, and no range exceeds {most_m:g} m"
+        beyond = rigs.beyond_range(self.stand.base[:, :3], self.target.box_m) if self.at_least == 1 else None
+        return beyond or self._too_few_beams(rigs)
 
     def _too_few_beams(self, rigs: AllowedRigs) -> str | None:
         """Whether at a place that counts fewer beams than are demanded can hit the ball around the object's box.
@@ -162,11 +142,9 @@ class ObjectRequirement(Requirement):
         With a fraction of positions, those nearest to the bounds count.
         """
         low, high = self.target.box_m
-        radius_m = 0.5 * math.dist(low, high)
         at = np.unique(self.stand.base[:, :3], axis=0)
-        nearest = np.sort(rigs.distance_m(at + 0.5 * (low + high)))
-        distance_m = nearest[self.best(len(at)) - 1]
-        most = int(reached(rigs.most_returns(radius_m, distance_m), self.lost, self.sensors)[0])
+        distance_m = np.sort(rigs.distance_m(at + 0.5 * (low + high)))[self.best(len(at)) - 1]
+        most = int(reached(rigs.most_returns(0.5 * math.dist(low, high), distance_m), self.lost, self.sensors)[0])
         if most >= self.returns:
             return None
         who = "the sensors together get" if self.sensors is None else f"{self.sensors} of the sensors get, each alone,"
@@ -196,7 +174,7 @@ class ObjectJudge(Judge):
             rule = ClusterRule(item.cluster_m, item.stand.ground_m + LOW_M)
             self.reach = ClusterReach(share, item.lost, item.sensors, rule)
         self.places = self.reach.places  # (P, 4)
-        self._silhouettes = Silhouettes(item.obstacles)
+        self._refinement = Refinement(self.reach, item.stand, item.returns, in_shadows=item.at_least == 1)
         self._latest: tuple[tuple[Mount, ...], int, Refined] | None = None  # a rig, the cap, what it reaches
         self._weight = np.zeros(len(self.places))  # what places counted for in earlier batches of trials
         self._of_batch = np.zeros(len(self.places))  # and in this one
@@ -206,11 +184,7 @@ class ObjectJudge(Judge):
     def work(self) -> int:
         """The number of places at which rigs are measured, about; for progress."""
         robust = self.item.robust
-        stand = self.item.stand
-        steps = list(stand.refinements)
-        around = sum(9 * (3 if step_rad else 1) for _, step_rad in steps + 2 * steps[-1:])
-        refined = around * min(LOWEST, len(self.places)) // 2  # neighbours are shared
-        return len(self.places) * (1 + (robust.drawn if robust else 0)) + REFINED_WORK * refined
+        return len(self.places) * (1 + (robust.drawn if robust else 0)) + self._refinement.work
 
     # A verdict:
 
@@ -290,28 +264,11 @@ class ObjectJudge(Judge):
         if self._latest and self._latest[:2] == (tuple(mounts), cap):
             return self._latest[2]
         found = Refined(base, base, 0.0, 0.0)
-        for found in self._rounds(mounts, base, on_places):
+        for found in self._refinement.rounds(mounts, base, on_places):
             if stops and found.every.values.min() < self.item.returns:
                 return found
         self._latest = tuple(mounts), cap, found
         return found
-
-    def _rounds(self, mounts: Sequence[Mount], base: Measured, on_places: OnPlaces = no_progress) -> Iterator[Refined]:
-        """The measurements with places between those of the base grid, round after round."""
-
-        def measure(places: Array, cap: int) -> Measured:
-            return self.reach.measured_at(places, mounts, cap, lambda count: on_places(REFINED_WORK * count))
-
-        finding = Refinement(self.item.stand, self.item.returns, measure)
-        return finding.rounds(base, lambda: self._shadowed(mounts))
-
-    def _shadowed(self, mounts: Sequence[Mount]) -> Array:
-        """(n, 4) places in narrow shadows of the bodies; none for a fraction of the base grid's positions."""
-        stand = self.item.stand
-        if self.item.at_least < 1:
-            return NO_PLACES
-        core = Core.of(stand.width_m, float(self.item.target.size_m[2]), stand.ground_m)
-        return stand.standing(self._silhouettes.places(centres_of(mounts), core, stand.area, stand.far_step_m))
 
     def _counted(self, tried: Refined) -> Measured:
         """The measurements that count: of a fraction, those of the base grid."""
@@ -336,7 +293,7 @@ class ObjectJudge(Judge):
         for off in off_by_draws(self.item.robust, mounts):
             measured = self.reach.measured(off, cap, on_places)
             if self.item.at_least == 1:
-                more = np.concatenate([refined, self._shadowed(off)])
+                more = np.concatenate([refined, self._refinement.shadowed(off)])
                 if len(more):
                     measured = measured.joined(self.reach.measured_at(more, off, cap))
             out.append((off, measured, *self._worst(measured)))
@@ -521,7 +478,7 @@ class ObjectJudge(Judge):
         some = self.reach.measured_at(self.item.trial_places, mounts, self.item.first_cap)
         if some.values.min() >= self.item.first_cap:
             return NO_PLACES
-        for found in self._rounds(mounts, some):
+        for found in self._refinement.rounds(mounts, some):
             if len(failing := self._failing(found.every)):
                 return failing
         return NO_PLACES

@@ -17,6 +17,7 @@ from lidarcfg.returns.counts import ClusterRule, Lowest, OnPlaces, count_cluster
 from lidarcfg.returns.known import RigAt, Share, lowest_at
 from lidarcfg.returns.scanners import Poses, poses_of, scanners_of
 from lidarcfg.sensors.rig import Mount
+from lidarcfg.world.tracer import Obstacles
 
 LOWEST = 256  # places, around which others are tried
 JOINT_MAX = 256  # combinations of phases that are all tried for clusters
@@ -55,6 +56,16 @@ class Reach:
         self._share = share
         self._lost = lost
         self._sensors = sensors
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """What blocks beams."""
+        return self._share.known.obstacles
+
+    @property
+    def height_m(self) -> float:
+        """The object's."""
+        return float(self._share.target.size_m[2])
 
     def measured(self, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Measured:
         """What a rig reaches at the share's places, exact below the cap; what is known of it is kept."""
@@ -101,8 +112,7 @@ class Reach:
         return max(self._lost, 1) + (self._sensors or 1)
 
     def _lowest_at(self, places: Array, mounts: Sequence[Mount], cap: int, on_places: OnPlaces = no_progress) -> Lowest:
-        share = self._share
-        return lowest_at(places, share.target, mounts, share.known.obstacles, cap, self._wanted, on_places)
+        return lowest_at(places, self._share.target, mounts, self.obstacles, cap, self._wanted, on_places)
 
     def _by_case(self, counts: NDArray[np.int32]) -> Counts:
         return np.stack([reached(counts[:, kept], 0, self._sensors) for kept in cases(counts.shape[1], self._lost)])
@@ -185,11 +195,10 @@ class ClusterReach(Reach):
         threads: int | None = None,
     ) -> Lowest:
         joint = math.prod(one.phases for one in scanners) <= JOINT_MAX
-        share = self._share
-        obstacles = share.known.obstacles
+        target = self._share.target
         sensors = self._sensors or 0
         return count_clusters(
-            places, share.target, scanners, poses, obstacles, self._rule, lost, sensors, joint, cap, on_places, threads
+            places, target, scanners, poses, self.obstacles, self._rule, lost, sensors, joint, cap, on_places, threads
         )
 
 
