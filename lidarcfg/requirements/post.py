@@ -73,8 +73,7 @@ class PostKind(Kind):
         site = context.site
         zone = entry.zone(site, self.within_m, self.sector_deg)
         assert zone.body
-        within_m = self.within_m or (0.0, LIMIT_M)
-        posts = PostPlaces.around(zone.body, site.ground_m, within_m, zone)
+        posts = PostPlaces.around(zone.body, site.ground_m, self.within_m or (0.0, LIMIT_M), zone)
         if not posts.counts.any():
             raise entry.error("no post stands there; widen the zone", "within_m")
         return PostRequirement(
@@ -83,7 +82,6 @@ class PostKind(Kind):
             height_m=self.post_height_m,
             first_seen_at_most_m=self.first_seen_at_most_m,
             gap_at_most_m=self.gap_at_most_m,
-            limit_m=within_m[1],
             obstacles=site.obstacles,
             lost=lost,
             robust=context.robust,
@@ -99,7 +97,6 @@ class PostRequirement(Requirement):
     height_m: float
     first_seen_at_most_m: float | None
     gap_at_most_m: float | None
-    limit_m: float  # from the body
     obstacles: Obstacles
     lost: int = 0
     robust: Robust | None = None
@@ -120,7 +117,7 @@ class PostRequirement(Requirement):
 
     def visibility_of(self, seen: Flags, posts: PostPlaces) -> PostVisibility:
         """Where the post is seen, by flags of those posts that count (P,)."""
-        return PostVisibility.of(self.height_m, self.limit_m, posts, seen)
+        return PostVisibility.of(self.height_m, posts, seen)
 
     def farthest_m(self, seen: Flags) -> Array:
         """(limits,) what each limit is for, at the worst azimuth, if some of the posts that count (P,) are seen."""
@@ -159,7 +156,7 @@ class PostRequirement(Requirement):
         row = seen.places.distance_m[worst]
         number = int(abs(row - at).argmin()) if math.isfinite(at) else len(row) - 1
         place = seen.places.places[worst, number]
-        short = np.where(np.isinf(known), 1.0, np.clip((known - limit_m) / self.limit_m, 0, 1))[seen.known]
+        short = np.where(np.isinf(known), 1.0, np.clip((known - limit_m) / seen.limit_m, 0, 1))[seen.known]
         count = int(seen.places.counts.sum())
         if along is None:
             note = f"{what} decides; {seen.summary}"

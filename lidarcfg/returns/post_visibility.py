@@ -114,16 +114,20 @@ class PostVisibility:
     """Where a post of one height is seen around the vehicle, by azimuth; NaN where no place of an azimuth counts."""
 
     height_m: float
-    limit_m: float  # from the body
     places: PostPlaces
     seen: Flags  # (A, N)
 
     @classmethod
-    def of(cls, height_m: float, limit_m: float, places: PostPlaces, counted: Flags) -> "PostVisibility":
+    def of(cls, height_m: float, places: PostPlaces, counted: Flags) -> "PostVisibility":
         """By whether the post is seen at the places that count (P,)."""
         seen = np.zeros(places.counts.shape, np.bool_)
         seen[places.counts] = counted
-        return cls(height_m, limit_m, places, seen)
+        return cls(height_m, places, seen)
+
+    @property
+    def limit_m(self) -> float:
+        """How far from the body it is looked for."""
+        return self.places.within_m[1]
 
     @property
     def at_m(self) -> Array:
@@ -243,9 +247,8 @@ def post_visibility(
     mounts: Sequence[Mount],
     obstacles: Obstacles,
     lost: int = 0,
-    limit_m: float = LIMIT_M,
 ) -> PostVisibility:
     """Where a post of a height is seen by a rig's sensors, also with any `lost` of them lost, place by place."""
     target = box_target((WIDTH_M, WIDTH_M, height_m))
     counts = lowest_at(posts.counted, target, mounts, obstacles, 1, lost + 1).counts
-    return PostVisibility.of(height_m, limit_m, posts, (counts > 0).sum(axis=1) > lost)
+    return PostVisibility.of(height_m, posts, (counts > 0).sum(axis=1) > lost)

@@ -222,7 +222,7 @@ def test_a_post_that_one_sensor_alone_sees_breaks_with_it(tmp_path):
 def test_what_is_never_seen_is_nothing_but_a_gap():
     """A rig that looks over all posts misses a limit of gaps alone, too."""
     posts = PostPlaces.around(Footprint.of(BODY), 0.0, (0.0, 2.0))
-    item = PostRequirement("post", posts, 0.3, None, 0.3, 2.0, AROUND)
+    item = PostRequirement("post", posts, 0.3, None, 0.3, AROUND)
     high = (mount("vlp-16", (0.0, 0.0, 3.0), (0, 0, 0)),)
     judge = PostJudge(item)
     found = judge.judge(high)

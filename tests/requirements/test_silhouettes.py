@@ -206,7 +206,7 @@ def test_an_antenna_hides_posts_between_the_azimuths(fan):
     posts = PostPlaces.around(
         Footprint.of(BODY), 0.0, (2.0, 9.0), StandZone(Footprint.of(BODY), sector_rad=(-0.5, 0.5))
     )
-    item = PostRequirement("post", posts, 1.0, None, 0.3, 9.0, obstacles(mesh))
+    item = PostRequirement("post", posts, 1.0, None, 0.3, obstacles(mesh))
     fine = posts.along(np.arange(-1.0, 5.0, 0.05) % 360)
     longest_m = {}
     for name, some in (("even", posts), ("fine", fine)):
@@ -273,7 +273,7 @@ def posts_beside_brute_force(rigs, seed, fan):
         item, mounts, around = barred(rng, fan)
         limit_m = item.stand.zone.within_m[1]
         posts = PostPlaces.around(Footprint.of(BODY), 0.0, (limit_m - 4, limit_m))
-        post = PostRequirement("post", posts, float(item.target.size_m[2]), None, 0.3, limit_m, around)
+        post = PostRequirement("post", posts, float(item.target.size_m[2]), None, 0.3, around)
         even_m, fine_m = (
             longest_gap_m(some, (lowest_at(some.counted, post.target, mounts, around, 1, 9).counts > 0).any(axis=1))
             for some in (posts, posts.along(np.arange(0, 360, 0.2)))
