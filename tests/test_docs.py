@@ -22,8 +22,8 @@ from lidarcfg.cli.main import cli
 from lidarcfg.config.models import Model, load
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.report.summaries import summary
-from lidarcfg.requirements.kinds import KINDS
-from lidarcfg.requirements.scenario_file import ScenarioFile
+from lidarcfg.requirements.file import KINDS
+from lidarcfg.requirements.scenarios.file import ScenarioFile
 from lidarcfg.search.plan import PlanFile
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import RigFile

@@ -14,7 +14,7 @@ from lidarcfg.packets.families import FAMILIES, family
 KINDS = {  # module and model of each kind of file, loaded when they are needed
     "study": "lidarcfg.study.file:StudyFile",
     "requirements": "lidarcfg.requirements.file:RequirementsFile",
-    "scenario": "lidarcfg.requirements.scenario_file:ScenarioFile",
+    "scenario": "lidarcfg.requirements.scenarios.file:ScenarioFile",
     "plan": "lidarcfg.search.plan:PlanFile",
     "rig": "lidarcfg.sensors.rig:RigFile",
     "scene": "lidarcfg.world.scene_file:SceneFile",

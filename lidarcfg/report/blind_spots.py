@@ -22,8 +22,8 @@ from lidarcfg.report.canvas import (
 from lidarcfg.report.evidence import draw_body, draw_posts, finish_map
 from lidarcfg.report.html import KeyFigure
 from lidarcfg.report.table import Cell, Column, Table
-from lidarcfg.requirements.post_visibility import AZIMUTHS, WIDTH_M, PostVisibility
-from lidarcfg.requirements.post_visibility import STEP_M as POST_STEP_M
+from lidarcfg.returns.post_visibility import AZIMUTHS, WIDTH_M, PostVisibility
+from lidarcfg.returns.post_visibility import STEP_M as POST_STEP_M
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.vsr.subspaces import Subspaces
 from lidarcfg.world.footprint import Footprint

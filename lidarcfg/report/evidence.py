@@ -25,13 +25,13 @@ from lidarcfg.report.canvas import (
 from lidarcfg.report.describe import counted
 from lidarcfg.report.scenario import draw_scenario_on, scenario_rows
 from lidarcfg.requirements.evidence import Evidence, SensorView
-from lidarcfg.requirements.place_counts import PlaceCounts
-from lidarcfg.requirements.post_visibility import STEP_M as POST_STEP_M
-from lidarcfg.requirements.post_visibility import PostVisibility
+from lidarcfg.requirements.object_judge import PlaceCounts
 from lidarcfg.requirements.shadow import HiddenColumns
 from lidarcfg.requirements.verdict import RequirementVerdict
 from lidarcfg.returns.beams import Outcome
-from lidarcfg.returns.places import Zone
+from lidarcfg.returns.places import StandZone
+from lidarcfg.returns.post_visibility import STEP_M as POST_STEP_M
+from lidarcfg.returns.post_visibility import PostVisibility
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.world.footprint import Footprint
 
@@ -225,7 +225,7 @@ def draw_body(axes: "Axes", body: Footprint | None) -> None:
         axes.fill(*outline.T, facecolor=(*EXCLUDED, 0.9), edgecolor="0.2", lw=0.9, zorder=1.5)
 
 
-def _draw_zone(axes: "Axes", zone: Zone) -> None:
+def _draw_zone(axes: "Axes", zone: StandZone) -> None:
     """The zone's edges."""
     if zone.box_m is not None:
         (left, bottom), (right, top) = zone.box_m

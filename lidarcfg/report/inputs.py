@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lidarcfg import core, maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.post_visibility import PostPlaces, PostVisibility, post_visibility
 from lidarcfg.requirements.verify import Verification, Verifier
+from lidarcfg.returns.post_visibility import PostPlaces, PostVisibility, post_visibility
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.evaluation import Evaluation, robustness
 from lidarcfg.study.study import Study

@@ -21,9 +21,9 @@ from lidarcfg.report.document import Baseline, ChoicePart, Commands, report
 from lidarcfg.report.inputs import ReportInputs
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.report.verification import verdict_page
-from lidarcfg.requirements.post_visibility import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verification
+from lidarcfg.returns.post_visibility import PostVisibility
 from lidarcfg.search.run import Believed, Check, Log, Placement
 from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
 from lidarcfg.solvers.solver import BUDGETS

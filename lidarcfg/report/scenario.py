@@ -11,7 +11,7 @@ import numpy as np
 from lidarcfg.config.document import yaml_text
 from lidarcfg.files import replacing
 from lidarcfg.report.plots import COLOURS, new_figure
-from lidarcfg.requirements.scenario_run import ScenarioCase, ScenarioResult, ScenarioRun
+from lidarcfg.requirements.scenarios.run import ScenarioCase, ScenarioResult, ScenarioRun
 from lidarcfg.sensors.rig import Mount, Rig, save_rig
 from lidarcfg.world.vehicle import Vehicle
 

@@ -26,7 +26,7 @@ from lidarcfg.report.verdict import (
     verdict_table,
     worst_place,
 )
-from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
+from lidarcfg.requirements.evidence import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verification
 from lidarcfg.sensors.rig import Rig, rig_to_dict

@@ -25,7 +25,7 @@ from types import TracebackType
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.kind import Judge
+from lidarcfg.requirements.judge import Judge
 from lidarcfg.requirements.shortfalls import Draws, Shortfalls
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.cli.schemas import schema
-from lidarcfg.requirements.kinds import KINDS
+from lidarcfg.requirements.file import KINDS
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 from tests.requirements.toy_kind import ApartKind

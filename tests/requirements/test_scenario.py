@@ -10,12 +10,11 @@ from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
-from lidarcfg.requirements import scenario_run
-from lidarcfg.requirements.approach import Approach, VehicleExtent
-from lidarcfg.requirements.braking import COMFORT, EMERGENCY, Braking
-from lidarcfg.requirements.scenario_file import ScenarioFile, load_scenario, presets
-from lidarcfg.requirements.scenario_run import Rule, ScenarioRun, check_scenario, drive_of, needed
-from lidarcfg.requirements.sight import earliest_sight, places_within
+from lidarcfg.requirements.scenarios import run as scenario_run
+from lidarcfg.requirements.scenarios.approach import COMFORT, EMERGENCY, Approach, Braking, VehicleExtent
+from lidarcfg.requirements.scenarios.file import ScenarioFile, load_scenario, presets
+from lidarcfg.requirements.scenarios.run import Rule, ScenarioRun, check_scenario, drive_of, needed
+from lidarcfg.requirements.scenarios.sight import earliest_sight, places_within
 from lidarcfg.returns.counts import LOW_M
 from lidarcfg.returns.target import ObjectFile
 from lidarcfg.sensors.rig import Rig

@@ -73,10 +73,10 @@ def test_the_verdict_in_seconds(files):
     lost, without = judged(files, ("[50]", "[50], lost: 1"))
     assert (without.lost, without.margin < found.margin) == (("left",), True)
     mounts = load_rig(files / "rig.yaml").mounts
-    alone = both.check(mounts[1:]).result
+    alone = both.result(mounts[1:])
     assert without.margin == pytest.approx(alone.worst.worst.margin_s)
     assert ("left" in found.breaking) == (without.margin < 0)
-    assert lost.check(mounts).result.worst.sight_margin_s >= alone.worst.sight_margin_s
+    assert lost.result(mounts).worst.sight_margin_s >= alone.worst.sight_margin_s
     place = found.worst  # 50 km/h: 13.9 · 0.3 + 13.9² / 16 = 16.2 m ahead, 1.17 s or 1.62 m right of the middle
     assert (place.x_m, place.y_m, place.heading_deg) == (
         pytest.approx(2.4 + 16.2, abs=0.05),
@@ -156,7 +156,7 @@ def test_the_files_of_a_drive(files, target):
     (files / "short.yaml").write_text(SHORT.replace("{size_m: [0.711, 0.298, 1.154]}", target))
     item, _ = judged(files)
     mounts = load_rig(files / "rig.yaml").mounts
-    found = item.check(mounts).result
+    found = item.result(mounts)
     run = found.worst.worst
     written = save_drive(run, mounts, item.vehicle, files / "drive")
     assert (written.detected_s, written.last_s) == (run.detected_s, run.last_s)

@@ -11,7 +11,7 @@ import pytest
 from lidarcfg.packets.families import pattern
 from lidarcfg.requirements.allowed_rigs import most_returns
 from lidarcfg.requirements.resolved import Requirements
-from lidarcfg.requirements.scenario import ScenarioRequirement
+from lidarcfg.requirements.scenarios.requirement import ScenarioRequirement
 from lidarcfg.requirements.shortfalls import Shortfalls
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns import scanners as firing
@@ -240,7 +240,7 @@ def test_the_result_is_no_worse_than_the_best_plain_rig_of_those_that_pass_or_el
 
 def test_the_first_rig_that_meets_all_is_verified_at_once(study, monkeypatch):
     """By what was told: at the end of its batch; and until a rig passes, all that meet cost the same, nothing."""
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_PLACES", 12)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_PLACES", 12)
     one = study(CRATES.replace("150", "500"), returns=130, lost=0, more="")
     found = optimize(one, threads=2)
     checks = found.log.checks
@@ -259,7 +259,7 @@ def test_the_first_rig_that_meets_all_is_verified_at_once(study, monkeypatch):
 
 def test_what_was_verified_is_not_verified_again(study, monkeypatch):
     """A resumed search goes by its log: it verifies its best rig, and where that fails the one that it ends with."""
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_PLACES", 12)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_PLACES", 12)
     one = study(CRATES.replace("150", "500"), returns=130, lost=0, more="")
     begun = optimize(one, threads=2)
     verified = []
@@ -289,7 +289,7 @@ def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
 
 def test_a_search_at_a_few_places_is_verified_at_all(study, monkeypatch):
     """Where rigs fail at places of the base grid that do not count, these join; the verdict is that of all places."""
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_PLACES", 12)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_PLACES", 12)
     one = study(CRATES.replace("150", "500"), returns=100, lost=0, more="")
     (item,) = one.requirements.items
     assert len(item.trial_places) < 20 < len(item.stand.base)
@@ -302,8 +302,8 @@ def test_a_search_at_a_few_places_is_verified_at_all(study, monkeypatch):
 
 def test_what_trials_miss_is_found(study, monkeypatch):
     """By brute force over the base grid: the places at which a rig fails, the worst of those first."""
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_PLACES", 12)
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_GROWTH", 3)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_PLACES", 12)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_GROWTH", 3)
     one = study(CRATES, returns=120, lost=1, more="")
     (item,) = one.requirements.items
     (judge,) = Verifier(one.requirements).judges

@@ -11,8 +11,8 @@ import yaml
 from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.packets.families import timing
-from lidarcfg.requirements.scenario_file import load_scenario
-from lidarcfg.requirements.scenario_run import Rule, check_scenario
+from lidarcfg.requirements.scenarios.file import load_scenario
+from lidarcfg.requirements.scenarios.run import Rule, check_scenario
 from lidarcfg.returns.beams import passing_beams
 from lidarcfg.returns.counts import returns
 from lidarcfg.returns.known import lowest_at

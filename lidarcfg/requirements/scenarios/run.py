@@ -17,10 +17,17 @@ from numpy.typing import NDArray
 from lidarcfg import core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, inverse, transform
-from lidarcfg.requirements.approach import BEFORE_IMPACT_S, Approach, VehicleExtent
-from lidarcfg.requirements.braking import EMERGENCY, Braking
-from lidarcfg.requirements.scenario_file import TARGET, Scenario
-from lidarcfg.requirements.sight import Bounds, LineOfSight, earliest_sight, places_within
+from lidarcfg.requirements.allowed_rigs import Bounds
+from lidarcfg.requirements.scenarios.approach import (
+    EMERGENCY,
+    Approach,
+    Braking,
+    VehicleExtent,
+    approach_of,
+    needed,
+)
+from lidarcfg.requirements.scenarios.file import TARGET, Scenario
+from lidarcfg.requirements.scenarios.sight import LineOfSight, earliest_sight, places_within
 from lidarcfg.returns.counts import LOW_M
 from lidarcfg.sensors.firing import Firings, joined
 from lidarcfg.sensors.rig import Mount, Rig
@@ -36,7 +43,6 @@ SLACK_M = 1e-3  # of a distance: a target that gains speed moves along chords
 Counts = NDArray[np.int64]
 STARTS = 4
 RETURNS = 10  # Autoware's least cluster: autonomous_emergency_braking.param.yaml of autoware_launch at 025908d
-LEAST_S = 0.5  # of a run before the last moment to brake: two revolutions of the slowest sensors, at 300 rpm, fit
 NO_SPEEDS = "has no speeds of its own; give speeds_km_h"
 
 
@@ -284,6 +290,10 @@ class ScenarioResult:
         cases = [replace(case, runs=tuple(run for run in case.runs if len(run.lost) in counts)) for case in self.cases]
         return replace(self, cases=tuple(cases))
 
+    def fails_without(self, sensor: int) -> bool:
+        """Whether the target is detected too late in any run in which this sensor alone is lost."""
+        return any(run.margin_s < 0.0 for case in self.cases for run in case.runs if run.lost == (sensor,))
+
     @property
     def met(self) -> bool:
         """Whether the target is detected in time, always."""
@@ -359,26 +369,3 @@ def check_scenario(
         sight = earliest_sight(runs[0].approach, runs[0].last_s, places, vehicle)
         cases.append(ScenarioCase(speed_km_h, impact, tuple(runs), sight))
     return ScenarioResult(scenario, rule, braking, tuple(mount.name for mount in exact), tuple(cases))
-
-
-def needed(approach: Approach, braking: Braking) -> float:
-    """Seconds from the last moment to brake to the impact."""
-    return braking.distance_m(approach.speed_m_s, approach.ahead_m_s) / approach.closing_m_s
-
-
-def approach_of(
-    scenario: Scenario, extent: VehicleExtent, speed_km_h: float, impact: float, ground_m: float, braking: Braking
-) -> Approach:
-    """The run at a speed and impact. Raises ConfigError unless it starts long enough before braking begins."""
-    one = Approach(scenario, extent, speed_km_h, impact, scenario.file.before_impact_s or BEFORE_IMPACT_S, ground_m)
-    at = f"{scenario.name} at {speed_km_h:g} km/h"
-    if not one.closing_m_s > 0.0:
-        raise ConfigError(f"{at}: the target moves away as fast; allowed: more than {scenario.file.path.speed_km_h:g}")
-    if scenario.file.from_m is not None:
-        one = replace(one, lead_s=scenario.file.from_m / one.closing_m_s)
-    one.remaining_m(0.0)
-    needed_s = needed(one, braking)
-    if one.lead_s - needed_s < LEAST_S:
-        what = f"braking begins {needed_s:.2f} s before the impact, and a run {one.lead_s:.2f} s"
-        raise ConfigError(f"{at}: {what}; let it start earlier (before_impact_s, from_m), or brake harder")
-    return one

@@ -17,9 +17,8 @@ from shapely.geometry.base import BaseGeometry
 
 from lidarcfg import maths
 from lidarcfg.geometry import Array
-from lidarcfg.returns.counts import OnPlaces, no_progress
 from lidarcfg.returns.known import lowest_at
-from lidarcfg.returns.places import Zone
+from lidarcfg.returns.places import StandZone
 from lidarcfg.returns.target import box_target
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.footprint import Footprint
@@ -32,7 +31,6 @@ RUN_M = 0.5  # without a gap: from its beginning on, a post counts as seen
 LIMIT_M = 10.0  # from the body: as far out gaps count
 
 Flags = NDArray[np.bool_]
-Counts = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ class PostPlaces:
     body: Footprint
     ground_m: float
     within_m: tuple[float, float]  # of the body
-    zone: Zone | None
+    zone: StandZone | None
     azimuth_deg: Array  # (A,) counter-clockwise from ahead
     places: Array  # (A, N, 4) x, y, the ground's z, heading
     distance_m: Array  # (A, N) from the body
@@ -60,7 +58,7 @@ class PostPlaces:
         body: Footprint,
         ground_m: float,
         within_m: tuple[float, float] = (0.0, LIMIT_M),
-        zone: Zone | None = None,
+        zone: StandZone | None = None,
         azimuth_deg: Array | None = None,
     ) -> "PostPlaces":
         """Around a body, at distances from it, in a zone's sector; along AZIMUTHS, or others (A,)."""
@@ -116,9 +114,20 @@ class PostVisibility:
     """Where a post of one height is seen around the vehicle, by azimuth; NaN where no place of an azimuth counts."""
 
     height_m: float
-    limit_m: float  # from the body
     places: PostPlaces
     seen: Flags  # (A, N)
+
+    @classmethod
+    def of(cls, height_m: float, places: PostPlaces, counted: Flags) -> "PostVisibility":
+        """By whether the post is seen at the places that count (P,)."""
+        seen = np.zeros(places.counts.shape, np.bool_)
+        seen[places.counts] = counted
+        return cls(height_m, places, seen)
+
+    @property
+    def limit_m(self) -> float:
+        """How far from the body it is looked for."""
+        return self.places.within_m[1]
 
     @property
     def at_m(self) -> Array:
@@ -238,14 +247,8 @@ def post_visibility(
     mounts: Sequence[Mount],
     obstacles: Obstacles,
     lost: int = 0,
-    limit_m: float = LIMIT_M,
-    on_places: OnPlaces = no_progress,
 ) -> PostVisibility:
     """Where a post of a height is seen by a rig's sensors, also with any `lost` of them lost, place by place."""
     target = box_target((WIDTH_M, WIDTH_M, height_m))
-    counted = posts.counted
-    lowest = lowest_at(counted, target, mounts, obstacles, 1, lost + 1)
-    on_places(len(counted))
-    seen = np.zeros(posts.counts.shape, np.bool_)
-    seen[posts.counts] = (lowest.counts > 0).sum(axis=1) > lost
-    return PostVisibility(height_m, limit_m, posts, seen)
+    counts = lowest_at(posts.counted, target, mounts, obstacles, 1, lost + 1).counts
+    return PostVisibility.of(height_m, posts, (counts > 0).sum(axis=1) > lost)

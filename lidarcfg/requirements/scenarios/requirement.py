@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -12,26 +11,15 @@ from pydantic import Field, PlainSerializer, SerializationInfo
 
 from lidarcfg.config.models import path_from
 from lidarcfg.errors import ConfigError
-from lidarcfg.requirements.approach import VehicleExtent
-from lidarcfg.requirements.braking import EMERGENCY, Braking, BrakingOrName
-from lidarcfg.requirements.context import Context
+from lidarcfg.requirements.allowed_rigs import Bounds
 from lidarcfg.requirements.evidence import Evidence
-from lidarcfg.requirements.kind import Clusters, Entry, Judge, Kind, Lost, Requirement, Returns
-from lidarcfg.requirements.scenario_file import Scenario, Speeds, load_scenario
-from lidarcfg.requirements.scenario_run import (
-    NO_SPEEDS,
-    RETURNS,
-    Rule,
-    ScenarioCase,
-    ScenarioResult,
-    approach_of,
-    check_scenario,
-)
-from lidarcfg.requirements.sight import Bounds
+from lidarcfg.requirements.judge import PlainRequirement
+from lidarcfg.requirements.kind import Clusters, Context, Entry, Kind, Lost, Returns
+from lidarcfg.requirements.scenarios.approach import EMERGENCY, Braking, BrakingOrName, VehicleExtent, approach_of
+from lidarcfg.requirements.scenarios.file import Scenario, Speeds, load_scenario
+from lidarcfg.requirements.scenarios.run import NO_SPEEDS, RETURNS, Rule, ScenarioCase, ScenarioResult, check_scenario
 from lidarcfg.requirements.verdict import RequirementVerdict, WorstPlace
-from lidarcfg.requirements.zone import body_of
 from lidarcfg.returns.counts import OnPlaces, no_progress
-from lidarcfg.returns.known import Share
 from lidarcfg.returns.target import ObjectOrName
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.vehicle import Vehicle
@@ -68,21 +56,20 @@ class ScenarioKind(Kind):
         """The requirement of a study. Raises ConfigError with file, line and key."""
         lost = entry.lost(self.lost, context)
         site = context.site
-        body_of(entry, site)
-        assert site.vehicle
+        vehicle, _ = entry.vehicle(site)
         with entry.errors_at("scenario"):
             scenario = load_scenario(self.scenario, entry.path.parent, self.target)
             speeds_km_h = self.speeds_km_h or scenario.file.speeds_km_h
             if not speeds_km_h:
                 raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
             braking = self.braking or EMERGENCY
-            extent = VehicleExtent.of(site.vehicle)
+            extent = VehicleExtent.of(vehicle)
             for speed_km_h, impact in product(speeds_km_h, scenario.file.impacts):
                 approach_of(scenario, extent, speed_km_h, impact, site.ground_m, braking)
         return ScenarioRequirement(
             name=self.name,
             scenario=scenario,
-            vehicle=site.vehicle,
+            vehicle=vehicle,
             speeds_km_h=speeds_km_h,
             rule=Rule(self.returns or RETURNS, self.cluster_m),
             braking=braking,
@@ -93,7 +80,7 @@ class ScenarioKind(Kind):
 
 
 @dataclass(frozen=True)
-class ScenarioRequirement(Requirement, Judge):
+class ScenarioRequirement(PlainRequirement):
     """A scenario's target is detected in time to brake at all speeds."""
 
     is_slow: ClassVar[bool] = True
@@ -112,32 +99,8 @@ class ScenarioRequirement(Requirement, Judge):
         """About the number of places that would take as long, for progress."""
         return PLACES_PER_CASE * len(self.speeds_km_h) * len(self.scenario.file.impacts)
 
-    def judge_with(self, share: Share | None = None) -> "ScenarioRequirement":
-        """Itself: nothing is kept."""
-        return self
-
-    def check(
-        self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
-    ) -> "ScenarioOutcome":
-        """The outcome for a rig. Raises ConfigError."""
-        return ScenarioOutcome(
-            self,
-            check_scenario(
-                self.scenario,
-                mounts,
-                self.vehicle,
-                speeds_km_h=self.speeds_km_h,
-                rule=self.rule,
-                braking=self.braking,
-                losses=sorted({0, self.lost, min(1, len(mounts) - 1)}),
-                bounds=self.sensor_bounds,
-                ground_m=self.ground_m,
-                on_progress=on_progress,
-            ),
-        )
-
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
-        """The verdict on a rig; `on_places` is told how much more of `work` is done. Raises ConfigError."""
+        """The verdict on a rig, in seconds before the last moment to brake. Raises ConfigError."""
         done = 0
 
         def on_progress(fraction: float) -> None:
@@ -146,43 +109,12 @@ class ScenarioRequirement(Requirement, Judge):
             on_places(now - done)
             done = now
 
-        return self.check(mounts, on_progress).verdict
-
-    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
-        """The evidence for a verdict on a rig."""
-        return Evidence(found, frames=self.check(mounts).result)
-
-
-@dataclass(frozen=True)
-class ScenarioOutcome:
-    """The outcome of a scenario requirement for a rig."""
-
-    requirement: ScenarioRequirement
-    tried: ScenarioResult  # also with each single sensor lost, whether that is asked for or not
-
-    @cached_property
-    def result(self) -> ScenarioResult:
-        """The result of the runs with as many sensors lost as the requirement says, and with all sensors."""
-        return self.tried.with_lost(0, self.requirement.lost)
-
-    @property
-    def breaking(self) -> tuple[str, ...]:
-        """The sensors whose failure, each alone, breaks the requirement."""
-        out = []
-        for n, name in enumerate(self.tried.sensor_names):
-            runs = [run for case in self.tried.cases for run in case.runs if run.lost == (n,)]
-            if any(run.margin_s < 0.0 for run in runs):
-                out.append(name)
-        return tuple(out)
-
-    @property
-    def verdict(self) -> RequirementVerdict:
-        """The verdict, in seconds before the last moment to brake."""
-        found = self.result
+        tried = self._tried(mounts, on_progress)
+        found = tried.with_lost(0, self.lost)
         case = found.worst
         worst = case.worst
         return RequirementVerdict(
-            name=self.requirement.name,
+            name=self.name,
             kind=ScenarioKind.key,
             passed=found.met,
             unit="s",
@@ -191,9 +123,34 @@ class ScenarioOutcome:
             at_most=False,
             shortfall=found.shortfall,
             worst=_place(case),
-            lost=tuple(found.sensor_names[n] for n in worst.lost),
-            breaking=self.breaking,
+            lost=tuple(mounts[n].name for n in worst.lost),
+            breaking=tuple(mount.name for n, mount in enumerate(mounts) if tried.fails_without(n)),
             notes=_notes(found, case),
+        )
+
+    def result(self, mounts: Sequence[Mount]) -> ScenarioResult:
+        """The runs of a rig with as many sensors lost as the requirement says, and with all sensors."""
+        return self._tried(mounts).with_lost(0, self.lost)
+
+    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
+        """The evidence for a verdict on a rig."""
+        return Evidence(found, frames=self.result(mounts))
+
+    def _tried(
+        self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
+    ) -> ScenarioResult:
+        """The runs of a rig, also with each single sensor lost, whether that is asked for or not."""
+        return check_scenario(
+            self.scenario,
+            mounts,
+            self.vehicle,
+            speeds_km_h=self.speeds_km_h,
+            rule=self.rule,
+            braking=self.braking,
+            losses=sorted({0, self.lost, min(1, len(mounts) - 1)}),
+            bounds=self.sensor_bounds,
+            ground_m=self.ground_m,
+            on_progress=on_progress,
         )
 
 

@@ -1,21 +1,28 @@
-"""A run of a scenario: where vehicle, target and parked cars are at each time.
+"""A run of a scenario: where vehicle, target and parked cars are at each time, and the last moment to brake.
 
 The vehicle drives straight at constant speed. A target that crosses is hit where its middle reaches the line on which
 it walks; one that moves the same way, or stands, where the vehicle reaches its nearer end. Traffic keeps right, so the
 near side is the vehicle's right. The world is the vehicle frame at the start of a run.
+
+The last moment to brake follows from reaction time and deceleration: a distance, then seconds before the impact. The
+distance with an object that brakes is that of Responsibility-Sensitive Safety, as Autoware's emergency braking computes
+it (autoware_universe, control/autoware_autonomous_emergency_braking/README.md).
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
+from lidarcfg.config.models import Model, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, pose, transform
-from lidarcfg.requirements.scenario_file import TARGET, CarFile, Scenario
+from lidarcfg.requirements.scenarios.file import TARGET, CarFile, Scenario
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.scene import Scene, build_scene
 from lidarcfg.world.scene_file import Box, Ground, MeshFile, SceneFile
@@ -29,6 +36,46 @@ GROUND_REFLECTIVITY = 15  # of asphalt, a guess; returns do not depend on it
 REFLECTIVITY = 20  # of everything else, likewise
 ACROSS_DEG = 90.0
 NO_BODY = "a scenario needs the vehicle's body, whose front reaches the target; give vehicle"
+LEAST_S = 0.5  # of a run before the last moment to brake: two revolutions of the slowest sensors, at 300 rpm, fit
+
+Seconds = Annotated[float, Field(ge=0, le=60)]
+Deceleration = Annotated[float, Field(ge=0.1, le=30)]
+Offset = Annotated[float, Field(ge=0, le=100)]
+
+
+class Braking(Model):
+    """How a vehicle brakes. The defaults are an emergency's: figures of this project, of no standard."""
+
+    reaction_s: Seconds = 0.3  # from the end of a frame to the brakes' full force
+    deceleration_m_s2: Deceleration = 8.0
+    object_deceleration_m_s2: Deceleration | None = None  # with which the target ahead stops; none: it keeps its speed
+    offset_m: Offset = 0.0  # left between vehicle and target
+
+    def distance_m(self, speed_m_s: float, target_m_s: float = 0.0) -> float:
+        """The gap at the last moment to brake; the target moves ahead at `target_m_s` in the same direction."""
+        if self.object_deceleration_m_s2 is None:
+            closing_m_s = speed_m_s - target_m_s
+            return closing_m_s * self.reaction_s + closing_m_s**2 / (2 * self.deceleration_m_s2) + self.offset_m
+        braked_m = speed_m_s * self.reaction_s + speed_m_s**2 / (2 * self.deceleration_m_s2)
+        return max(braked_m - target_m_s**2 / (2 * self.object_deceleration_m_s2), 0.0) + self.offset_m
+
+
+EMERGENCY = Braking()
+# autonomous_emergency_braking.param.yaml of autoware_launch at 025908d
+COMFORT = Braking(reaction_s=1.0, deceleration_m_s2=3.0, object_deceleration_m_s2=1.0, offset_m=2.0)
+PRESETS = {"emergency": EMERGENCY, "comfort": COMFORT}
+
+
+def _of_preset(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    if value not in PRESETS:
+        known = ", ".join(PRESETS)
+        raise validation_error(f"{value!r} is not allowed; allowed: {known}, or keys and values")
+    return PRESETS[value].model_dump()
+
+
+BrakingOrName = Annotated[Braking, BeforeValidator(_of_preset, json_schema_input_type=Braking | str)]
 
 
 @dataclass(frozen=True)
@@ -251,3 +298,26 @@ def _box(name: str, center_m: tuple[float, ...], size_m: Sequence[float]) -> Box
     x, y, z = center_m
     length_m, width_m, height_m = size_m
     return Box(name=name, reflectivity=REFLECTIVITY, center_m=(x, y, z), size_m=(length_m, width_m, height_m))
+
+
+def needed(approach: Approach, braking: Braking) -> float:
+    """Seconds from the last moment to brake to the impact."""
+    return braking.distance_m(approach.speed_m_s, approach.ahead_m_s) / approach.closing_m_s
+
+
+def approach_of(
+    scenario: Scenario, extent: VehicleExtent, speed_km_h: float, impact: float, ground_m: float, braking: Braking
+) -> Approach:
+    """The run at a speed and impact. Raises ConfigError unless it starts long enough before braking begins."""
+    one = Approach(scenario, extent, speed_km_h, impact, scenario.file.before_impact_s or BEFORE_IMPACT_S, ground_m)
+    at = f"{scenario.name} at {speed_km_h:g} km/h"
+    if not one.closing_m_s > 0.0:
+        raise ConfigError(f"{at}: the target moves away as fast; allowed: more than {scenario.file.path.speed_km_h:g}")
+    if scenario.file.from_m is not None:
+        one = replace(one, lead_s=scenario.file.from_m / one.closing_m_s)
+    one.remaining_m(0.0)
+    needed_s = needed(one, braking)
+    if one.lead_s - needed_s < LEAST_S:
+        what = f"braking begins {needed_s:.2f} s before the impact, and a run {one.lead_s:.2f} s"
+        raise ConfigError(f"{at}: {what}; let it start earlier (before_impact_s, from_m), or brake harder")
+    return one

@@ -3,7 +3,6 @@
 Places and points are samples, so a sight between them may begin a little earlier: `LineOfSight` has their numbers.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -11,8 +10,9 @@ import numpy as np
 
 from lidarcfg.core import world
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.approach import Approach
-from lidarcfg.requirements.scenario_file import Scenario
+from lidarcfg.requirements.allowed_rigs import Bounds
+from lidarcfg.requirements.scenarios.approach import Approach
+from lidarcfg.requirements.scenarios.file import Scenario
 from lidarcfg.world.tracer import Tracer, build_bvh
 from lidarcfg.world.vehicle import Vehicle
 
@@ -20,8 +20,6 @@ PLACES_M = 0.25  # between places, at most
 POINTS_M = 0.1  # between points of the target, about
 STEP_S = 0.02  # in which the sight is looked for
 EXACT_S = 1e-4  # to which its beginning is found
-
-Bounds = Sequence[tuple[Array, Array]]  # (3,) each: lower and upper corners of boxes in the vehicle frame
 
 
 @dataclass(frozen=True)
