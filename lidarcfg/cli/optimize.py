@@ -301,8 +301,8 @@ def _search_line(cycle: "Cycle") -> str:
 def _cheapest_outlook(run: "CheapestRun", solver: "Solver") -> str:
     """What the search for the cheapest rig will do, and how long it may take."""
     screening = "the plain rigs of each first"
-    if run.sweep_s is not None:
-        screening += f", about {duration(run.sweep_s)}, and longer where one seems to pass and is verified"
+    if run.screening_s is not None:
+        screening += f", about {duration(run.screening_s)}, and longer where one seems to pass and is verified"
     budget = f"{solver.evaluations:,} evaluations" if solver.evaluations is not None else "its budget"
     if solver.seconds is not None:
         budget = f"{solver.seconds:g} s"

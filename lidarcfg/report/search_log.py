@@ -23,31 +23,17 @@ from lidarcfg.study.study import Study
 SEARCH_LOG = "search.npz"
 TURNS_MAX = 64  # each is longer than all before
 FLOAT = np.dtype(np.float64)
-RECORD = np.dtype(
-    [
-        ("candidate", np.int64),
-        ("logs", np.int64),
-        ("turns", np.int64),
-        ("evaluations", np.int64),
-        ("rigs", np.int64),
-        ("coordinates", np.int64),
-        ("shortfalls", np.int64),
-        ("worst", FLOAT),
-    ]
-)
-LOG = np.dtype(
-    [
-        ("costs", np.int64),
-        ("points", np.int64),
-        ("coordinates", np.int64),
-        ("given", np.int64),
-        ("places", np.int64),
-        ("checks", np.int64),
-        ("seconds", FLOAT),
-    ]
-)
-CHECK = np.dtype([("told", np.int64), ("passed", np.bool_), ("drawn", np.bool_), ("places", np.int64)])
-PLACE = np.dtype([("requirement", np.int64), ("pose", FLOAT, 4)])
+
+
+def _counts(names: str) -> list[tuple[str, Any]]:
+    """Fields of whole numbers."""
+    return [(name, np.int64) for name in names.split()]
+
+
+RECORD = np.dtype([*_counts("candidate logs turns evaluations rigs coordinates shortfalls"), ("worst", FLOAT)])
+LOG = np.dtype([*_counts("costs points coordinates given places checks"), ("seconds", FLOAT)])
+CHECK = np.dtype([*_counts("told places"), ("passed", np.bool_), ("drawn", np.bool_)])
+PLACE = np.dtype([*_counts("requirement"), ("pose", FLOAT, 4)])
 ARRAYS = {  # types and dimensions
     "asked": ("texts", 0),  # see fingerprint
     "records": (RECORD, 1),
@@ -120,7 +106,7 @@ def _arrays(log: SearchLog) -> dict[str, Any]:
         ),
         "cost": np.concatenate([np.empty((0, 2)), *(each.cost for each in logs)]),
         "points": np.concatenate([np.empty(0), *(own.ravel() for own in points)]),
-        "checks": np.array([(one.told, one.passed, one.drawn, _count(one.places)) for one in checks], CHECK),
+        "checks": np.array([(one.told, _count(one.places), one.passed, one.drawn) for one in checks], CHECK),
         "places": np.concatenate([np.empty(0, PLACE), *map(_rows, [*places, log.places])]),
     }
 
@@ -191,7 +177,7 @@ class _LogReader:
         )
 
     def _check(self, row: Any) -> Check:
-        told, passed, drawn, places = row.tolist()
+        told, places, passed, drawn = row.tolist()
         return Check(told, passed, _places(self._take("places", places)), drawn)
 
 

@@ -141,7 +141,7 @@ class CheapestRun(Chooser):
         self.found: int | None = None  # the cheapest that meets all so far
         self.doing = ""  # what was done last
         self.done = 0.0  # the fraction of the screening, or of a round
-        self.sweep_s: float | None = None  # about how long screening all combinations takes, once the first is
+        self.screening_s: float | None = None  # about how long screening all combinations takes, once the first is
         if log:
             self._resume(log)
 
@@ -265,8 +265,8 @@ class CheapestRun(Chooser):
                 given = self._given.get(number, [])
                 began = time.perf_counter()
                 self._screen(number, np.array([*given, *plain_points(self._study_of(number))]))
-                if self.sweep_s is None and casts:
-                    self.sweep_s = (time.perf_counter() - began) * sum(casts) / casts[0]
+                if self.screening_s is None and casts:
+                    self.screening_s = (time.perf_counter() - began) * sum(casts) / casts[0]
                 self._try(number)
                 self._say(f"plain rigs of {self.combinations[number].name}")
         self.done = 1.0
@@ -490,9 +490,12 @@ def searched(search: CombinationSearch, threads: int | None = 1, verifier: Verif
 
 def _placement(study: Study, record: Record, threads: int | None, skip: bool, interrupted: bool) -> Placement:
     """The result of a combination's search, of which the costs are known."""
+    assert record.x is not None
     run = RequirementsRun(study, record.logs[0])
     budget = Budget(None, None, math.inf, math.inf)
     with run.evaluator(threads, skip) as evaluator:
         while run.is_replaying or not run.history:
             run.step(evaluator, budget)
-    return run.placement(interrupted, record.verdict)
+        if run.evaluations < record.evaluations and not np.array_equal(run.best_x, record.x):
+            run.step(evaluator, replace(budget, evaluations=record.evaluations))  # it is of a batch that was cut short
+    return run.placement(interrupted, record.verdict if np.array_equal(run.best_x, record.x) else None)

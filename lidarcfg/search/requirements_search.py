@@ -188,8 +188,11 @@ class RequirementsRun(MissesRun):
 
     @property
     def _count(self) -> int:
-        """How many costs were told, those of the log only as far as they are replayed."""
-        return sum(map(len, self._told)) - len(self._replay)
+        """How many costs are known, those of the log only as far as they are replayed.
+
+        After a batch that was cut short it is none that a resumed search, which asks for all of it, ever has.
+        """
+        return sum(map(len, self._told)) - len(self._replay) + self._cut_short
 
     def _is_due(self, budget: Budget) -> bool:
         """Whether the best rig is to be verified now: the first that meets all at once."""

@@ -204,6 +204,7 @@ class SearchRun:
         self._log = log  # that it begins with
         self._replay = log.cost
         self._told = [log.cost]
+        self._cut_short = 0  # costs of a batch that a budget cut short, which are not told
         self._spent = log.seconds  # before this part
         self._since = math.inf  # when it began
         self._smooths = False  # whether its evaluator smooths the costs of trials that ask for it
@@ -303,6 +304,7 @@ class SearchRun:
     def costs(self, trials: Trials, evaluator: TrialEvaluator, budget: Budget) -> Array:
         """(n, 2) the costs of the rigs at trials, those of the log first; fewer if a budget cuts the batch short."""
         count = len(trials.x)
+        self._cut_short = 0
         if len(self._replay) >= count:
             cost = self._replay[:count]
             self._replay = self._replay[count:]
@@ -314,6 +316,8 @@ class SearchRun:
         cost = self._evaluated(trials, evaluator, left, budget.deadline)
         if len(cost) == count:
             self._told.append(cost)
+        else:
+            self._cut_short = len(cost)
         return cost
 
     def _evaluated(self, trials: Trials, evaluator: TrialEvaluator, count: int, deadline: float) -> Array:

@@ -417,6 +417,16 @@ def test_the_seconds_are_those_of_the_search(study, monkeypatch):
     assert 0 < found.seconds <= searched[0] - began
 
 
+@pytest.mark.parametrize("evaluations", range(17, 33, 3))
+def test_the_rig_that_is_said_to_meet_all_does(study, evaluations):
+    """Also one of a batch that the budget cuts short: of 16, and the first rig that passes is the tenth of the second."""
+    text = SLIT.replace("model: vlp-16", "choose: [vlp-16, none]").replace("solver:", "prices: {vlp-16: 4000}\nsolver:")
+    one = with_solver(study(text), evaluations=evaluations)
+    found = cheapest(one, threads=2)
+    verdict = Verifier(one.requirements).verify(found.placement.rig.mounts)
+    assert (verdict.passed, found.meets) == (found.placement.verdict.passed, verdict.passed)
+
+
 def test_what_is_excluded_meets_nothing_when_searched(study):
     """Combinations of which it is said that no rig can meet all are searched all the same without skipping."""
     one = study(CHOICE.replace("RETURNS", "1500").replace("evaluations: 200", "evaluations: 600"))
