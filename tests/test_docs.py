@@ -24,7 +24,7 @@ from lidarcfg.errors import LidarcfgError
 from lidarcfg.report.summaries import summary
 from lidarcfg.requirements.file import KINDS
 from lidarcfg.requirements.scenarios.file import ScenarioFile
-from lidarcfg.search.plan import PlanFile
+from lidarcfg.search.sweep_plan import PlanFile
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Sensor

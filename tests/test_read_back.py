@@ -17,9 +17,9 @@ from lidarcfg.config.document import Document, document, inline, yaml_text
 from lidarcfg.config.kinds import kind_of
 from lidarcfg.config.models import load, loads, whole_values
 from lidarcfg.errors import ConfigError
-from lidarcfg.report.results import fingerprint
+from lidarcfg.report.search_log import fingerprint
 from lidarcfg.search.combinations import combinations
-from lidarcfg.search.plan import load_plan
+from lidarcfg.search.sweep_plan import load_plan
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.study.file import StudyFile
 from lidarcfg.study.study import with_solver

@@ -15,7 +15,7 @@ KINDS = {  # module and model of each kind of file, loaded when they are needed
     "study": "lidarcfg.study.file:StudyFile",
     "requirements": "lidarcfg.requirements.file:RequirementsFile",
     "scenario": "lidarcfg.requirements.scenarios.file:ScenarioFile",
-    "plan": "lidarcfg.search.plan:PlanFile",
+    "plan": "lidarcfg.search.sweep_plan:PlanFile",
     "rig": "lidarcfg.sensors.rig:RigFile",
     "scene": "lidarcfg.world.scene_file:SceneFile",
     "sensor": "lidarcfg.sensors.sensor:Sensor",

@@ -4,8 +4,8 @@ import pytest
 import yaml
 
 from lidarcfg.requirements.verify import Verifier
-from lidarcfg.search.achievable import unachievable
 from lidarcfg.search.cheapest import cheapest
+from lidarcfg.search.requirements_search import unachievable
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.study import load_study
 

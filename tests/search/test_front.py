@@ -40,7 +40,7 @@ def pairs_of(found):
 
 
 def costs(found):
-    return [[log.cost.tolist() for log in logs] for logs in found.logs]
+    return [[log.cost.tolist() for log in record.logs] for record in found.log.records.values()]
 
 
 def naive_max_vsr(mounts):
@@ -111,8 +111,8 @@ def test_who_is_next():
 
 def test_each_search_is_the_ordinary_one(tmp_path):
     """As far as its own search came, it is what `optimize` finds; and the front's got the most."""
-    search = FrontRun(study(tmp_path))
-    search.run(threads=2)
+    search = FrontRun(study(tmp_path), threads=2)
+    assert not search.run()
     found = search.result(False)
     assert found.evaluations == 6000 == sum(c.evaluations for c in found.candidates) == found.history[-1].evaluations
     for one in search.searches[::3]:
@@ -130,7 +130,7 @@ def test_any_number_of_threads_and_a_resumed_search_give_the_same(tmp_path):
     loaded = study(tmp_path, solver="method: auto, evaluations: 4000, seed: 2")
     whole = front(loaded, threads=1)
     broken = front(with_solver(loaded, evaluations=2345), threads=3, skip=False)
-    resumed = front(loaded, threads=3, logs=broken.logs)
+    resumed = front(loaded, threads=3, log=broken.log)
     for found in (front(loaded, threads=3), resumed):
         assert pairs_of(found) == pairs_of(whole)
         assert [one.evaluations for one in found.candidates] == [one.evaluations for one in whole.candidates]
@@ -144,7 +144,7 @@ def test_an_interrupt_keeps_the_front_so_far(tmp_path):
         if len(search.history) == 4:
             raise KeyboardInterrupt
 
-    found = front(study(tmp_path), threads=2, on_part=interrupt)
+    found = front(study(tmp_path), threads=2, on_turn=interrupt)
     assert found.interrupted
     assert 1 <= len(found.points) <= 4
     assert sum(one.evaluations == 0 for one in found.candidates) == len(found.candidates) - 4

@@ -7,10 +7,10 @@ import pytest
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.search.cheapest import cheapest
-from lidarcfg.search.combinations import distinct_options
+from lidarcfg.search.combinations import distinct_combinations
 from lidarcfg.search.front import front
 from lidarcfg.search.optimize import optimize
-from lidarcfg.search.starts import point_of, starting_options
+from lidarcfg.search.start_rigs import point_of, points_by_combination
 from lidarcfg.study.study import load_study, with_solver
 from tests.command_line import lidarcfg
 from tests.search.test_requirements_search import CHOICE, CRATES
@@ -142,28 +142,28 @@ def test_a_start_that_meets_all_requirements_is_the_least_that_is_found(study):
 
 def test_a_start_belongs_to_the_combination_with_its_models(study):
     one = study(CHOICE.replace("RETURNS", "10"))
-    options = distinct_options(one)
-    for number, option in enumerate(options):
-        chosen = option.combination.study
-        (found,) = starting_options(options, [chosen.rig(chosen.midpoint)])
+    ones = distinct_combinations(one)
+    for number, each in enumerate(ones):
+        chosen = each.study
+        (found,) = points_by_combination(ones, [chosen.rig(chosen.midpoint)])
         assert found == number
     strange = study(BOX)
     with pytest.raises(ConfigError, match="no combination of the study has the sensors fan-4, fan-4, fan-8"):
-        starting_options(options, [strange.rig(strange.midpoint)])
+        points_by_combination(ones, [strange.rig(strange.midpoint)])
 
 
 def test_searches_that_choose_begin_with_a_start(study):
     """The dearest combination's rig is verified first, then the search goes down from there; and so does a front."""
     one = study(CHOICE.replace("RETURNS", "300").replace("13000", "14000"))
-    dearest = distinct_options(one)[-1].combination.study
+    dearest = distinct_combinations(one)[-1].study
     rig = dearest.rig(dearest.midpoint)
     said = []
-    found = cheapest(one, 2, lambda run, what: said.append(what), rigs=[rig])
+    found = cheapest(one, 2, lambda run: said.append(run.doing), rigs=[rig])
     assert dearest.name in said[0]
     assert found.combination.price <= 14000
     ordinary = CHOICE[: CHOICE.index("requirements:")] + "solver: {method: annealing, evaluations: 60}\n"
     points = front(study(ordinary), threads=2, rigs=[rig])
-    assert points.logs[[o.name for o in distinct_options(study(ordinary))].index(dearest.name)] is not None
+    assert points.log.records[[o.name for o in distinct_combinations(study(ordinary))].index(dearest.name)] is not None
 
 
 def test_the_command_begins_with_rigs(tmp_path, blank_pictures):

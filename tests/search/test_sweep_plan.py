@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.search import plan as plans
-from lidarcfg.search.plan import load_plan
+from lidarcfg.search import sweep_plan as plans
+from lidarcfg.search.sweep_plan import load_plan
 from lidarcfg.study.study import load_study
 
 ROOT = Path(__file__).parents[2]

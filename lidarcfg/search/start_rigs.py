@@ -1,4 +1,4 @@
-"""Rigs that a search begins with, as points of a study's unit cube."""
+"""Rigs of the user's that a search begins with, as points of a study's unit cube."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.search.combinations import Option
+from lidarcfg.search.combinations import Combination
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.file import COORDINATES
 from lidarcfg.study.slots import ROLL
@@ -58,30 +58,33 @@ def points_of(study: Study, rigs: Sequence[Rig]) -> Array:
     return np.array([point_of(study, rig) for rig in rigs]).reshape(len(rigs), int(study.free.sum()))
 
 
-def starting_options(options: Sequence[Option], rigs: Sequence[Rig]) -> dict[int, list[Array]]:
-    """The points of rigs by the number of the option whose models each has.
+def points_by_combination(combinations: Sequence[Combination], rigs: Sequence[Rig]) -> dict[int, list[Array]]:
+    """The points of rigs by the number of the combination whose models each has.
 
     Raises ConfigError for a rig that is of none, or outside the bounds.
     """
     found: dict[int, list[Array]] = {}
     for rig in rigs:
-        has = sorted(mount.sensor.name for mount in rig.mounts)
-        errors = []
-        for number, option in enumerate(options):
-            if sorted(option.all_sensors) != has:
-                continue
+        number, x = _place_in(combinations, rig)
+        found.setdefault(number, []).append(x)
+    return found
+
+
+def _place_in(combinations: Sequence[Combination], rig: Rig) -> tuple[int, Array]:
+    """The first combination that allows a rig, and the rig's point in it. Raises as points_by_combination does."""
+    has = sorted(mount.sensor.name for mount in rig.mounts)
+    errors = []
+    for number, one in enumerate(combinations):
+        if sorted(one.all_sensors) == has:
             try:
-                found.setdefault(number, []).append(point_of(option.combination.study, rig))
-                break
+                return number, point_of(one.study, rig)
             except ConfigError as error:
                 errors.append(error)
-        else:
-            raise (
-                errors[0]
-                if errors
-                else ConfigError(f"{rig.name}: no combination of the study has the sensors {', '.join(has)}")
-            )
-    return {number: points for number, points in found.items() if points}
+    raise (
+        errors[0]
+        if errors
+        else ConfigError(f"{rig.name}: no combination of the study has the sensors {', '.join(has)}")
+    )
 
 
 def _matched(study: Study, rig: Rig) -> tuple[Array, list[str]]:

@@ -6,21 +6,19 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
-from importlib.metadata import version
 from itertools import chain, permutations, product
 from pathlib import Path
-from platform import python_version_tuple
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
-import lidarcfg
 from lidarcfg import core
 from lidarcfg.config.document import Document, Key, document
 from lidarcfg.config.models import Model, checked, error_at, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
+from lidarcfg.search.workers import versions
 from lidarcfg.study.file import StudyFile
 from lidarcfg.study.study import Study, study_of
 
@@ -135,7 +133,7 @@ class SweepCase:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """A plan all of whose runs are possible."""
 
     path: Path
@@ -185,12 +183,6 @@ class Studies:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def versions() -> dict[str, str]:
-    """The versions of everything that a result depends on, to the last bit."""
-    packages = {name: version(name) for name in ("numpy", "scipy", "cma")}
-    return {"lidarcfg": lidarcfg.__version__, "Python": ".".join(python_version_tuple()[:2]), **packages}
-
-
 def _update(content: "hashlib._Hash", value: Any) -> None:
     """Add a value, with all of its parts, to a digest."""
     if isinstance(value, np.ndarray):
@@ -218,7 +210,7 @@ def _update(content: "hashlib._Hash", value: Any) -> None:
         content.update(f"{getattr(value, '__qualname__', None) or repr(value)},".encode())
 
 
-def load_plan(path: str | Path, on_checked: Callable[[int, int], None] | None = None) -> Plan:
+def load_plan(path: str | Path, on_checked: Callable[[int, int], None] | None = None) -> SweepPlan:
     """The plan in a YAML file. Every study of it is read; `on_checked` is told how many of how many runs are.
 
     Raises ConfigError with file, line and key.
@@ -236,7 +228,7 @@ def load_plan(path: str | Path, on_checked: Callable[[int, int], None] | None = 
         runs.append(_run(number, places, plan, base, studies))
         if on_checked:
             on_checked(number, file.count)
-    return Plan(path, "" if inline else file.study, tuple(file.paths), tuple(runs), studies)
+    return SweepPlan(path, "" if inline else file.study, tuple(file.paths), tuple(runs), studies)
 
 
 def _named(plan: Document, path: Path) -> Document:

@@ -5,8 +5,8 @@ import pytest
 
 from lidarcfg.returns.known import lowest_at
 from lidarcfg.search.plain_rigs import plain_points
-from lidarcfg.search.requirements_search import RequirementsEvaluator
-from lidarcfg.search.screen import Screen
+from lidarcfg.search.requirements_evaluator import RequirementsEvaluator
+from lidarcfg.search.screening import Screening
 from lidarcfg.study.study import load_study
 from tests.search.test_requirements_search import YARD
 
@@ -26,7 +26,7 @@ def test_a_screen_and_trials_agree(study, lost):
     """Without failures the shortfalls are those of trials; the worst place is that of counts by plain loops."""
     one = study(YARD.format(returns=30, lost=lost, more=""))
     points = plain_points(one)[:10]
-    found = Screen(one.requirements).judge(one, points)
+    found = Screening(one.requirements).judge(one, points)
     poses = one.poses(points)
     with RequirementsEvaluator(one, 1) as evaluator:
         trials = np.array([evaluator.shortfalls(row) for row in poses])
@@ -48,7 +48,7 @@ def test_more_places_and_a_quick_look(study):
     """A rig seems no worse at some of the places than at all, and no better with more."""
     one = study(YARD.format(returns=30, lost=0, more=""))
     points = plain_points(one)[:6]
-    screen = Screen(one.requirements)
+    screen = Screening(one.requirements)
     quick = screen.judge(one, points, quick=True)
     whole = screen.judge(one, points)
     assert (quick.worst <= whole.worst).all()
@@ -57,8 +57,8 @@ def test_more_places_and_a_quick_look(study):
     more = screen.judge(one, points)
     assert (more.worst >= whole.worst).all()
     assert (more.shortfalls[:, 0] > whole.shortfalls[:, 0]).any()
-    ordered, ranked = screen.ranked(one, points)
-    assert sorted(map(tuple, ordered.tolist())) == sorted(map(tuple, points.tolist()))
+    ranked = screen.ranked(one, points)
+    assert sorted(map(tuple, ranked.points.tolist())) == sorted(map(tuple, points.tolist()))
     assert (np.diff(ranked.worst) >= 0).all()
 
 

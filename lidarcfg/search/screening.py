@@ -7,7 +7,7 @@ of clusters, posts, shadows and scenarios, and of mounting errors it knows nothi
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.resolved import Requirements
 from lidarcfg.returns.known import lowest_at
-from lidarcfg.search.plain_rigs import plain_points
 from lidarcfg.study.slots import Slot
 from lidarcfg.study.study import Study
 
@@ -27,19 +26,25 @@ Key = tuple[str | None, tuple[float, float] | None, tuple[float, float] | None, 
 
 
 @dataclass(frozen=True)
-class Screened:
-    """What n rigs reach, as far as it is known."""
+class ScreenedRigs:
+    """What n rigs of a study reach, as far as it is known."""
 
+    points: Array  # (n, free coordinates)
     worst: Array  # (n,) the largest relative shortfall at any place; below 0: the least relative margin
     shortfalls: Array  # (n, requirements) the means over places, as in trials
+    is_judged: bool = False  # whether some had to be judged at all places
 
     @property
     def order(self) -> NDArray[np.int64]:
         """(n,) the numbers of the rigs, the one that comes closest first."""
         return np.lexsort((self.shortfalls.sum(axis=1), self.worst))
 
+    def part(self, rows: NDArray[np.int64]) -> "ScreenedRigs":
+        """Some of them."""
+        return replace(self, points=self.points[rows], worst=self.worst[rows], shortfalls=self.shortfalls[rows])
 
-class Screen:
+
+class Screening:
     """Judges rigs by one set of requirements; what each sensor gets at each pose is kept."""
 
     def __init__(self, requirements: Requirements) -> None:
@@ -55,7 +60,7 @@ class Screen:
             if n in self._places:
                 self._places[n] = np.concatenate([self._places[n], some])
 
-    def judge(self, study: Study, points: Array, quick: bool = False) -> Screened:
+    def judge(self, study: Study, points: Array, quick: bool = False) -> ScreenedRigs:
         """What the rigs at points (n, free coordinates) of a study with these requirements reach.
 
         If it is to be `quick`, at a few of the places.
@@ -72,7 +77,7 @@ class Screen:
                 short = item.short(places[n], counts)
                 worst[rig] = max(worst[rig], short.max())
                 shortfalls[rig, n] = np.maximum(short, 0).mean()
-        return Screened(worst, shortfalls)
+        return ScreenedRigs(points, worst, shortfalls)
 
     def unknown(self, study: Study, points: Array) -> set[Key]:
         """The sensors at poses of the rigs at points (n, free coordinates) that a quick look would cast."""
@@ -81,25 +86,25 @@ class Screen:
             self._known
         )
 
-    def ranked(self, study: Study, points: Array, least: int = 0) -> tuple[Array, Screened]:
-        """The points, the closest first, and what their rigs reach.
+    def ranked(self, study: Study, points: Array, least: int = 0) -> ScreenedRigs:
+        """The rigs at points (n, free coordinates), the closest first, and what they reach.
 
         Those that meet all at a few places are judged at all, up to BEST of them; and the closest, `least` at least.
         The others come behind these, and are known at the few places alone.
         """
         quick = self.judge(study, points, quick=True)
-        points = points[quick.order]
-        worst = quick.worst[quick.order]
-        shortfalls = quick.shortfalls[quick.order]
-        count = max(min(int((worst <= 0).sum()), BEST), least)
-        if count:
-            best = self.judge(study, points[:count])
-            order = best.order
-            points[:count], worst[:count], shortfalls[:count] = (
-                some[order] for some in (points[:count], best.worst, best.shortfalls)
-            )
-            worst[count:] = np.maximum(worst[count:], LEAST)
-        return points, Screened(worst, shortfalls)
+        quick = quick.part(quick.order)
+        count = max(min(int((quick.worst <= 0).sum()), BEST), least)
+        if not count:
+            return quick
+        best = self.judge(study, quick.points[:count])
+        best = best.part(best.order)
+        return ScreenedRigs(
+            np.concatenate([best.points, quick.points[count:]]),
+            np.concatenate([best.worst, np.maximum(quick.worst[count:], LEAST)]),
+            np.concatenate([best.shortfalls, quick.shortfalls[count:]]),
+            is_judged=least > 0,
+        )
 
     def _cast(self, study: Study, poses: Array, wanted: Mapping[int, Array]) -> None:
         """Find out what is not known of the sensors of rigs at poses (n, slots, 6), at the first of the places."""
@@ -133,11 +138,3 @@ class Screen:
 
 def _key(slot: Slot, pose: Array) -> Key:
     return slot.model, slot.range_m, slot.azimuth_fov_deg, pose.tobytes()
-
-
-def first_points(study: Study) -> Array:
-    """(n, free coordinates) the plain rigs; those that come closest to the requirements first."""
-    points = plain_points(study)
-    if study.requirements:
-        points, _ = Screen(study.requirements).ranked(study, points)
-    return points

@@ -13,7 +13,7 @@ FIRST_POINTS = 2 * STARTS  # that are judged in full
 POINTS_GROWTH = 3  # of the number of points, until the best so far are what the next have to beat
 
 
-class PointsFirst(Best):
+class SeededSearch(Best):
     """Given points first, then the study's solver, which starts from the best of them.
 
     The points come in batches. In all but the first a point counts only if it is better than STARTS of those before.
