@@ -21,7 +21,7 @@ from lidarcfg.errors import ConversionError
 from lidarcfg.files import replacing
 from lidarcfg.io.bag_reader import Message, open_bag
 from lidarcfg.packets.codec import Payloads
-from lidarcfg.packets.facts import Header, Network
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.sensors.rig import DATA_PORT, Rig, default_host
 from lidarcfg.units import SECOND_NS
 

@@ -13,7 +13,7 @@ from lidarcfg.capture.fragments import PENDING_MAX, TIMEOUT_NS, Fragment, Reasse
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import Frames, read_datagrams, write_pcap
 from lidarcfg.packets.codec import Payloads
-from lidarcfg.packets.facts import Header, Network
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import (
