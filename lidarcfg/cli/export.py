@@ -209,7 +209,7 @@ def _export_packets(
     """Write one pcap, or with `split` one of each sensor, and the files that readers need. Returns what to print."""
     from contextlib import ExitStack
 
-    from lidarcfg.capture.export import data_bytes, in_time_order, save_sidecar_files, simulated_frames
+    from lidarcfg.capture.export import data_bytes, in_time_order, save_sidecar_files, simulated_packets
     from lidarcfg.capture.ground_truth import TruthFile
     from lidarcfg.capture.pcap import write_pcap
     from lidarcfg.inputs import check_room, format_bytes
@@ -224,7 +224,7 @@ def _export_packets(
     with _run(drive.duration_ns, lambda done: f"about {format_bytes(size)}", rays, quiet) as run, ExitStack() as stack:
         objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
-        streams = simulated_frames(
+        streams = simulated_packets(
             drive.rig,
             drive.scene,
             drive.trajectory,

@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.geometry import transform
-from lidarcfg.io.messages import ros_store
+from lidarcfg.io.ros_messages import ros_store
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.viewer.contents import load_contents
 from lidarcfg.world.scene import load_scene

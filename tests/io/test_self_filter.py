@@ -17,7 +17,7 @@ from lidarcfg.simulate.scans import beam_ends
 from lidarcfg.world.vehicle import load_vehicle
 from tests.capture_fixtures import mount
 from tests.io.test_convert_rig import turned
-from tests.io.test_kits import here, run  # noqa: F401
+from tests.io.test_rig_importers import here, run  # noqa: F401
 
 ROOT = Path(__file__).parents[2]
 SEDAN = ROOT / "data/vehicles/sedan.ply"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.report.plots import save_figure
@@ -164,7 +164,7 @@ def test_the_files_of_a_drive(files, target):
     scene = load_scene(written.scene)
     motion = Trajectory(np.eye(4), load_path(written.trajectory), START_NS)
     records = []
-    streams = simulated_frames(
+    streams = simulated_packets(
         rig, scene, motion, 23 * SECOND_NS // 10, on_truth=records.append, vehicle=rig_vehicle(rig)
     )
     for _ in in_time_order(streams):

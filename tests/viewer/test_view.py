@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.ground_truth import TruthFile, load_objects
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.selection import Selection
@@ -206,7 +206,7 @@ def test_objects_of_a_capture_are_the_ones_that_its_points_lie_on(tmp_path, mode
     tilted = tilted_rig()
     rig = replace(tilted, mounts=tuple(replace(mount, return_mode=mode) for mount in tilted.mounts))
     with TruthFile(tmp_path / "t.npz", [m.name for m in rig.mounts], seen.names) as truth:
-        streams = simulated_frames(rig, seen, Trajectory.static(np.eye(4)), 30_000_000, AT_NS, truth.add)
+        streams = simulated_packets(rig, seen, Trajectory.static(np.eye(4)), 30_000_000, AT_NS, truth.add)
         write_pcap(tmp_path / "t.pcap", in_time_order(streams))
         truth.save()
     paths = [tmp_path / "t.pcap", tmp_path / "t.npz"]

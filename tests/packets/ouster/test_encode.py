@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.capture.scans import scans
+from lidarcfg.capture.revolutions import revolutions
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError
@@ -65,7 +65,7 @@ def exported(folder, street, one, duration_ns=100_000_000, way=T_WORLD_VEHICLE):
     """The capture, its metadata and its ground truth."""
     truth = []
     path = folder / "a.pcap"
-    streams = simulated_frames(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
+    streams = simulated_packets(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     (metadata,) = save_sidecar_files(path, [one])
     assert metadata == folder / "a.json"
@@ -273,7 +273,7 @@ def test_scans_are_the_frames_of_ouster_sdk(tmp_path, street):
     path, metadata, _ = exported(tmp_path, street, mount(columns=512), 300_000_000)
     theirs = judged(path, metadata)
     points = [int((theirs.fields["range"][theirs.frame == frame] > 0).sum()) for frame in range(3)]
-    assert [len(scan.xyz) for scan in scans(path, no_warning)] == points
+    assert [len(scan.xyz) for scan in revolutions(path, no_warning)] == points
 
 
 def test_lost_packets_are_counted(tmp_path, street):
@@ -363,7 +363,7 @@ def test_mistakes_of_a_rig(tmp_path, street, line, message):
     path = tmp_path / "rig.yaml"
     path.write_text(f"name: r\nsensors:\n- {{name: a, model: os1-32, position_m: [0, 0, 2], {line}}}\n")
     with pytest.raises(ConfigError, match=message):
-        simulated_frames(load_rig(path), street, T_WORLD_VEHICLE, 10**9)
+        simulated_packets(load_rig(path), street, T_WORLD_VEHICLE, 10**9)
 
 
 def test_a_rig_of_two_makers(tmp_path):

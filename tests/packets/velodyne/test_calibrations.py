@@ -10,7 +10,7 @@ import velodyne_decoder as vd
 import yaml
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import simulated_frames
+from lidarcfg.capture.export import simulated_packets
 from lidarcfg.capture.ground_truth import records
 from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import load_cloud
@@ -216,7 +216,7 @@ def test_a_unit_that_status_bytes_cannot_say(tmp_path, key, value, message):
     rig = Rig("one", (replace(mount(), sensor=unit),))
     where = re.escape(f"lidar_0: sensor 'hdl-64e-s3': {key}[5]: {message}")
     with pytest.raises(ConfigError, match=f"^{where}$"):
-        simulated_frames(rig, scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), 10**9)
+        simulated_packets(rig, scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), 10**9)
 
 
 def test_status_bytes_have_64_beams():
