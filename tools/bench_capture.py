@@ -29,7 +29,7 @@ from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
-from lidarcfg.simulate.tasks import CHUNK_RAYS
+from lidarcfg.simulate.sensor_runs import CHUNK_RAYS
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.scene import Scene, load_scene
@@ -281,7 +281,7 @@ import sys, time
 import numpy as np
 from pathlib import Path
 from lidarcfg.capture.export import in_time_order, simulated_packets
-from lidarcfg.simulate.tasks import SimulationOptions
+from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.world.scene import load_scene
 from lidarcfg.sensors.rig import load_rig

@@ -17,14 +17,14 @@ from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.tasks import (
+from lidarcfg.simulate.sensor_runs import (
+    ChunkRunner,
+    SensorRun,
     SimulationOptions,
-    Task,
-    TaskRunner,
-    build_tasks,
     checked_timing,
     fired_fraction,
     map_chunks,
+    sensor_runs,
 )
 from lidarcfg.units import START_NS
 from lidarcfg.world.geodesy import GeoOrigin
@@ -56,12 +56,12 @@ def simulated_packets(
     options = options or SimulationOptions()
     trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
     _check_all(rig.mounts, duration_ns)
-    tasks = build_tasks(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
-    runner = TaskRunner.of(options, len(tasks))
+    runs = sensor_runs(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
+    runner = ChunkRunner.of(options, len(runs))
     origin = scene.file.geo_origin
     return [
-        in_time_order([_data_stream(task, runner, on_truth), _housekeeping_stream(task, trajectory, origin)])
-        for task in tasks
+        in_time_order([_data_stream(run, runner, on_truth), _housekeeping_stream(run, trajectory, origin)])
+        for run in runs
     ]
 
 
@@ -153,10 +153,10 @@ class _TracedFrames:
     truth: NDArray[np.void]  # empty if not wanted
 
 
-def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> Iterator[EthernetFrames]:
+def _data_stream(run: SensorRun, runner: ChunkRunner, on_truth: OnTruth | None) -> Iterator[EthernetFrames]:
     """The data packets completed within the duration, each sent when complete."""
-    maker = codec(task.mount.sensor)
-    mount = task.mount
+    maker = codec(run.mount.sensor)
+    mount = run.mount
 
     def make(batch: FiringBatch, found: Echoes) -> _TracedFrames:
         range_m = found.range_m + found.noise_m
@@ -166,18 +166,18 @@ def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> It
             types = maker.return_types(mount, range_m, found.reflectivity)
             sent = maker.sent(mount, batch, payloads)
             fired_ns = maker.fired_ns(mount, batch, range_m)
-            truth = records(task.index, types, batch.firings, fired_ns, found, sent)
+            truth = records(run.index, types, batch.firings, fired_ns, found, sent)
         return _TracedFrames(ethernet_frames(mount.host, payloads), truth)
 
-    for chunk in map_chunks(task, runner, make):
+    for chunk in map_chunks(run, runner, make):
         if on_truth:
             on_truth(chunk.truth)
         yield chunk.frames
 
 
-def _housekeeping_stream(task: Task, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[EthernetFrames]:
+def _housekeeping_stream(run: SensorRun, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[EthernetFrames]:
     """The sensor's other packets."""
-    mount = task.mount
-    payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, task.start_ns, task.duration_ns)
+    mount = run.mount
+    payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, run.start_ns, run.duration_ns)
     for some in payloads:
         yield ethernet_frames(mount.host, some)

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from lidarcfg.sensors.rig import ReturnMode, Rig
     from lidarcfg.simulate.drive import Drive
+    from lidarcfg.simulate.sensor_runs import SimulationOptions
     from lidarcfg.simulate.simulator import RayCounts
-    from lidarcfg.simulate.tasks import SimulationOptions
 
     OnPath = Callable[[Path], None]
     Size = Callable[[float], str]  # of the files, as far as it is known when a fraction of the work is done
@@ -181,7 +181,7 @@ class Rays:
 @contextmanager
 def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[SimulationOptions]":
     """A run with a progress bar, which says how large the files will be, and counts the rays."""
-    from lidarcfg.simulate.tasks import SimulationOptions
+    from lidarcfg.simulate.sensor_runs import SimulationOptions
 
     began = time.perf_counter()
 

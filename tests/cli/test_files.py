@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from lidarcfg.cli.schemas import KINDS, schema
+from lidarcfg.cli.json_schemas import KINDS, schema
 from lidarcfg.cli.templates import KINDS as TEMPLATES
 from lidarcfg.cli.templates import vehicles, write_template
 from lidarcfg.config.document import Document

@@ -9,7 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from lidarcfg.cli.schemas import schema
+from lidarcfg.cli.json_schemas import schema
 from lidarcfg.requirements.kinds import KINDS
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg

@@ -14,7 +14,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from lidarcfg.cli.schemas import schema
+from lidarcfg.cli.json_schemas import schema
 from lidarcfg.errors import ConfigError
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig

@@ -25,7 +25,7 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import custom_sensor
 from lidarcfg.simulate.drive import Drive
-from lidarcfg.simulate.tasks import SimulationOptions
+from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
 from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene

@@ -16,7 +16,7 @@ from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.geometry import inverse, transform
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import SimulationOptions
+from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, decoded, mount, scene, tilted_rig

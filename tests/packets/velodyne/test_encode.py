@@ -22,7 +22,7 @@ from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.packets.velodyne.telemetry import calibration
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
-from lidarcfg.simulate.tasks import SimulationOptions
+from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import SECOND_NS, START_NS
 from tests.capture_fixtures import datagrams_of, hdl_64e, mount, recording, scene
 from tests.naive import capture as naive
