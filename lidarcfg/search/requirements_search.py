@@ -236,11 +236,6 @@ class RequirementsRun(MissesRun):
         """By requirement, the places (n, 4) that count besides its own."""
         return self._more_places
 
-    @property
-    def has_checked(self) -> bool:
-        """Whether any rig was verified, or found to fail where trials do not look."""
-        return bool(self._checks)
-
     def log(self) -> Log:
         """All costs told so far, and what was verified."""
         return replace(super().log(), checks=tuple(self._checks))
