@@ -37,6 +37,8 @@ from tests.packets.velodyne.shaped import decode, firings, packet_period_ns, ray
 from tests.search.solvers.test_solvers import begun
 from tests.vsr.test_grid import check
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 FAN = tuple(np.arange(-15.0, 16.0, 2.0))
 

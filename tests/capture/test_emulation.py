@@ -138,6 +138,7 @@ def command(path, *words):
     assert process.returncode == 0, said
 
 
+@pytest.mark.slow
 @needs_port_80
 @pytest.mark.parametrize("firmware", ["v3.2.0", "v2.5.2"])  # which have other paths for the configuration
 def test_the_live_source_of_ouster_sdk(tmp_path, firmware):

@@ -369,6 +369,7 @@ def test_metadata_of_another_sensor(still, tmp_path):
         list(decode_pcap(path, lambda warning: None))
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_capture(still, tmp_path):
     """The same packets three times as often: as much memory at most, of what Python and numpy take."""
     for one in still[0].parent.iterdir():

@@ -52,6 +52,7 @@ def by_laser(sensor, ring, last, time_ns):
     return {key: sorted(rows, key=lambda row: time_ns[row]) for key, rows in found.items()}
 
 
+@pytest.mark.slow
 def test_each_point_has_one_record_and_each_record_one_point(made):
     folder, rig, mode = made
     with np.load(folder / "t.npz") as arrays:

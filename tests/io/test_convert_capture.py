@@ -98,6 +98,7 @@ def written(way: str, capture, folder, rig=None, model=None, on_warning=lambda w
     return messages
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["sqlite3", "mcap-bag", "mcap"])
 def test_points_and_places_are_those_that_decode_merges(capture, tmp_path, way):
     rig = named_rig()

@@ -167,6 +167,7 @@ def matrix(translation, rotation):
     return T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("output", "version"), [("bag", 2), ("a.mcap", 2), ("a.bag", 1)])
 def test_bags(folder, output, version):
     """Points, /tf and boxes: a box holds its object's points, as they stand in the message, by 3 ms of its motion."""

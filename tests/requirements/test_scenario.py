@@ -178,6 +178,7 @@ def exported(one, mounts, vehicle, duration_ns, frame_ns):
     return counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "models", "speed_km_h", "rpms"),
     [
@@ -266,6 +267,7 @@ def test_points_are_on_the_target(sedan, monkeypatch):
     assert checked > 1000
 
 
+@pytest.mark.slow
 def test_all_presets_are_whole(sedan, request):
     """Each is read, says where it is from, and is checked at a speed: ahead and behind always, all by night."""
     names = set(presets())

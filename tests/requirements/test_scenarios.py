@@ -63,6 +63,7 @@ def judged(files, *changes):
     return study.requirements.items[0], found
 
 
+@pytest.mark.slow
 def test_the_verdict_in_seconds(files):
     """The left sensor sees the child earlier: without it the margin is that of the right one alone."""
     both, found = judged(files)
@@ -103,6 +104,7 @@ def test_what_no_rig_can_do(files):
     assert late not in found.notes
 
 
+@pytest.mark.slow
 def test_more_is_demanded(files):
     """More returns, or of one cluster, come later; another target, smaller, too."""
     _, plain = judged(files)
@@ -150,6 +152,7 @@ def test_mistakes(files, wrong, said):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["{size_m: [0.711, 0.298, 1.154]}", "child"])
 def test_the_files_of_a_drive(files, target):
     """Exported from its files, the worst run has the same returns in each frame; the plot shows all cases."""

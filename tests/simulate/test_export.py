@@ -81,6 +81,7 @@ def truth(street, rig, index):
     return [column[seen] for column in columns] + [np.arange(len(laser))[seen] % 384]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1])
 def test_every_return(street, second, index):
     """None missing, none extra; range within half a step, time within 1 µs, azimuth within 0.005°."""
@@ -174,6 +175,7 @@ def test_cut_recording(tmp_path):
     assert len(warnings) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk_packets", [1, 2, 100])
 def test_chunks_do_not_matter(second, tmp_path, chunk_packets):
     """Ours in any chunks: the same points, sensor by sensor."""
@@ -409,6 +411,7 @@ def test_places_beyond_the_world(street, value):
         simulated_packets(Rig("one", (mount(position_m=(0.0, 0.0, value)),)), street, np.eye(4), SECOND_NS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("old", [None, b"old"])
 def test_a_killed_export_leaves_no_capture(tmp_path, old):
     """Killed without warning while it writes: what was there stays, and nothing else looks whole."""

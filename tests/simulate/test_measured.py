@@ -75,6 +75,7 @@ def test_exports_are_as_rough_as_recordings(tmp_path, model, mode, names):
     assert compared == (13 if mode == "dual" else 5)
 
 
+@pytest.mark.slow
 def test_what_was_put_in_is_measured(tmp_path):
     """And without any, steps of 2 mm alone: their sigma is 2 mm / sqrt 12."""
     exact = measured(exported(tmp_path, "vlp-16", None))

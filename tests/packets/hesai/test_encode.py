@@ -80,6 +80,7 @@ KINDS = {  # of the first and the second of two returns; the second strongest ma
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "mode"), [*SINGLE, *PAIRS])
 def test_each_return_comes_back(model, mode, tmp_path):
     """Range within half a unit, direction within half a hundredth of a degree, the rest exactly."""

@@ -14,6 +14,7 @@ from lidarcfg.units import START_NS
 from tests.packets.hesai.recorded import mount
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 @pytest.mark.parametrize("model", ["pandar-xt32", "pandar-xt16", "xt32m2x", "qt128", "ot128"])
 def test_changed_octets(model, mode, tmp_path):

@@ -59,6 +59,7 @@ def written(of, path, packets):
     return batch, range_m, reflectivity, payloads
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "mode", "resolution"), CASES)
 def test_every_return_as_a_plain_loop_has_it(model, mode, resolution, tmp_path):
     """Places, reflectivities, types; and that what was written is what was fired at."""

@@ -118,6 +118,7 @@ def check(path, metadata, truth, one, unit_mm):
     return theirs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
 def test_every_return_of_every_profile(tmp_path, street, profile):
     one = mount(dual="DUAL" in profile, profile=profile, firmware="3.2", fragments=profile != "LEGACY")
@@ -151,6 +152,7 @@ def test_every_return_of_every_profile(tmp_path, street, profile):
 OUSTER_CLI = [sys.executable, "-c", "from ouster.cli.core import run; run()", "source"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "columns"),
     [
@@ -177,6 +179,7 @@ def test_ouster_cli_reads_captures(tmp_path, street, settings, columns):
     assert int(re.search(r"Packet Count: (\d+)", stats)[1]) >= lidar
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["2.3", "3.2"])
 @pytest.mark.parametrize("columns", [512, 1024, 2048])
 @pytest.mark.parametrize("model", ["os1-32", "os1-64", "os0-128"])
@@ -190,6 +193,7 @@ def test_every_count_of_beams_and_columns(tmp_path, street, model, columns, firm
         assert all(theirs.crc_right)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [name for name in catalogue() if name.startswith("os")])
 def test_every_model(tmp_path, street, model):
     columns = 512
@@ -220,6 +224,7 @@ def test_the_stronger_of_two_returns_comes_first_with_firmware_2(tmp_path, stree
     assert (set(cloud.return_type), len(cloud.xyz)) == ({0, 2}, len(truth))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("columns", "rpm"), [(512, 600.0), (512, 1200.0), (1024, 1200.0), (2048, 600.0)])
 def test_modes(tmp_path, street, columns, rpm):
     one = mount(columns=columns, rpm=rpm)

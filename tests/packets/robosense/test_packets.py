@@ -58,6 +58,7 @@ def patched(one, *patches):
     return Datagram(one.time_ns, one.host, one.source_port, one.port, bytes(data))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "last", "first", "dual"])
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("fov", [None, (300, 60)])

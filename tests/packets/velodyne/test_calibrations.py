@@ -39,6 +39,7 @@ from tests.packets.velodyne.shaped import (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hdl-64e-s2", "hdl-64e-s3"])
 @pytest.mark.parametrize("mode", MODES)
 def test_a_unit_is_heard_as_it_was_met(name, mode, tmp_path):
@@ -130,6 +131,7 @@ READ_ELSEWHERE = {
 }
 
 
+@pytest.mark.slow
 def test_a_unit_through_the_commands(tmp_path):
     """A rig with a unit's file, exported and decoded: with the rig, or with what the capture carries, the same points."""
     unit = hdl_64e("hdl-64e-s3")

@@ -59,6 +59,7 @@ LAYOUTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sensor", "mode"), LAYOUTS)
 def test_every_layout_is_the_twins(sensor, mode):
     """Blocks in groups, pairs by block and by sequence, blocks that are left empty, status bytes; over the hour.
@@ -124,6 +125,7 @@ def test_every_layout_is_the_twins(sensor, mode):
         assert packet.tobytes() == expected
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(
     st.sampled_from(MODELS),
