@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["make_api", "make_keys", "make_stubs"])
 def test_what_is_made_is_up_to_date(name):
     tool = ROOT / f"tools/{name}.py"

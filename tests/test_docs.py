@@ -200,6 +200,7 @@ def project(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_command_of_a_page_runs(page, project, request):
     """In order, with Python in between; files that the page shows are there from the start."""
@@ -233,6 +234,7 @@ def assert_shown(shown, made):
         assert made == (pytest.approx(shown, rel=1e-3, abs=1e-9) if isinstance(shown, int | float) else shown)
 
 
+@pytest.mark.slow
 def test_every_example_of_help_runs(project, blank_pictures, capsys):
     """In the order of the first page: later ones use what earlier ones wrote."""
     examples = help_examples()
@@ -241,6 +243,7 @@ def test_every_example_of_help_runs(project, blank_pictures, capsys):
         run(quick(words))
 
 
+@pytest.mark.slow
 def test_the_demo(project, blank_pictures, capsys):
     """Its commands, in less time, and the Python that sums them up: it counts what other readers count."""
     script = (ROOT / "tools/demo-commands.sh").read_text()
@@ -279,6 +282,7 @@ def test_the_demo(project, blank_pictures, capsys):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
 def test_every_example_runs(script, project, blank_pictures, capsys):
     runpy.run_path(str(script), run_name="__main__")
@@ -381,6 +385,7 @@ def parts(annotation):
 FILES = [StudyFile, ScenarioFile, PlanFile, RigFile, SceneFile, Sensor, Motion, Realism]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [*FILES, *KINDS.values()])
 def test_every_key_of_a_file_is_documented(model):
     text = documentation()

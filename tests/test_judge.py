@@ -17,6 +17,8 @@ from lidarcfg.world.vehicle import load_vehicle
 from tests.returns_cases import mount
 from tests.test_tools import ROOT
 
+pytestmark = pytest.mark.slow
+
 SEDAN = ROOT / "data/vehicles/sedan.ply"
 RIG = """\
 name: one

@@ -29,6 +29,8 @@ from tests.command_line import lidarcfg, without_drawing
 from tests.studies import study_of
 from tests.test_docs import PAGES, blocks, named_files
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("data/*", "docs/examples", "tests/search/studies")
 FILES = sorted(path for folder in FOLDERS for path in ROOT.glob(f"{folder}/*.yaml"))

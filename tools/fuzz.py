@@ -49,7 +49,7 @@ with (
 ):
     from lidarcfg.capture import decode as decoder
     from lidarcfg.capture import sources
-    from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
+    from lidarcfg.capture.ethernet import ETHERNET_HEADER, IP, RECORD, UDP
     from lidarcfg.capture.pcap import PCAP_MAGIC, read_batches
     from lidarcfg.capture.selection import Selection
     from lidarcfg.packets.velodyne.encode import encode

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.manifest import DriveInputs, manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import write_pcap
@@ -69,7 +69,7 @@ def export(
         written = formats.save_dataset(output, form, dataset, False, on_warning)
         companions: list[Path] = []
     else:
-        streams = simulated_frames(drive.rig, drive.scene, drive.trajectory, drive.duration_ns, vehicle=drive.vehicle)
+        streams = simulated_packets(drive.rig, drive.scene, drive.trajectory, drive.duration_ns, vehicle=drive.vehicle)
         written = formats.Amount(write_pcap(output, in_time_order(streams)), "frames")
         companions = save_sidecar_files(output, drive.rig.mounts)
     remove_outdated(inputs.outdated(output))

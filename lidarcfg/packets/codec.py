@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lidarcfg.config.models import Model
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.emulator import Emulator, NetworkSite
-from lidarcfg.packets.facts import Header, Network
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, Timing
 from lidarcfg.sensors.rig import Mount

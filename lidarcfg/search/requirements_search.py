@@ -24,7 +24,6 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.allowed_rigs import AllowedRigs, SensorChoice
 from lidarcfg.requirements.judge import Judge
-from lidarcfg.requirements.shortfalls import Draws, Shortfalls
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.misses import SEED
@@ -102,11 +101,6 @@ class RequirementsRun(MissesRun):
     def more_places(self) -> Places:
         """By requirement, the places (n, 4) that count besides its own."""
         return self._more_places
-
-    @property
-    def has_checked(self) -> bool:
-        """Whether any rig was verified, or found to fail where trials do not look."""
-        return bool(self._checks)
 
     def log(self) -> Log:
         """All costs told so far, and what was verified."""

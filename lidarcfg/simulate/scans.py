@@ -21,14 +21,14 @@ from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.drive import Drive, object_names
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.tasks import (
+from lidarcfg.simulate.sensor_runs import (
     CHUNK_RAYS,
+    ChunkRunner,
+    SensorRun,
     SimulationOptions,
-    Task,
-    TaskRunner,
-    build_tasks,
     map_chunks,
     most_returns_per_ns,
+    sensor_runs,
 )
 from lidarcfg.units import MINUTE_NS
 
@@ -46,11 +46,11 @@ def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> I
     Raises ConfigError.
     """
     options = options or SimulationOptions()
-    tasks = build_tasks(drive, options.chunk_ns)
+    runs = sensor_runs(drive, options.chunk_ns)
     names = object_names(drive.scene, drive.vehicle)
-    _check_memory(tasks)
-    runner = TaskRunner.of(options, len(tasks))
-    streams = [_sensor_scans(task, runner, names) for task in tasks]
+    _check_memory(runs)
+    runner = ChunkRunner.of(options, len(runs))
+    streams = [_sensor_scans(run, runner, names) for run in runs]
     return heapq.merge(*streams, key=lambda scan: int(scan.time_ns[-1]))
 
 
@@ -60,13 +60,13 @@ def most_returns(drive: Drive) -> int:
     return round(sum(rates) * drive.duration_ns)
 
 
-def _check_memory(tasks: Sequence[Task]) -> None:
+def _check_memory(runs: Sequence[SensorRun]) -> None:
     """Raises LidarcfgError if memory does not hold a revolution of each sensor: it waits for those of the others."""
     held = 0
-    for task in tasks:
-        rate = most_returns_per_ns(task.mount, task.timing.pace(task.mount))
-        held += round(min(task.mount.frame_ns * rate + 2 * CHUNK_RAYS, task.duration_ns * rate))
-    what = f"a revolution of each sensor, {len(tasks):,} in all, and what is traced ahead,"
+    for run in runs:
+        rate = most_returns_per_ns(run.mount, run.timing.pace(run.mount))
+        held += round(min(run.mount.frame_ns * rate + 2 * CHUNK_RAYS, run.duration_ns * rate))
+    what = f"a revolution of each sensor, {len(runs):,} in all, and what is traced ahead,"
     check_memory(what, RETURN_BYTES * held, "export fewer sensors at a time")
 
 
@@ -78,11 +78,11 @@ class _TracedPoints:
     number: Times
 
 
-def _sensor_scans(task: Task, runner: TaskRunner, object_names: tuple[str, ...]) -> Iterator[PointCloud]:
+def _sensor_scans(run: SensorRun, runner: ChunkRunner, object_names: tuple[str, ...]) -> Iterator[PointCloud]:
     """The scans of one sensor: a cloud for each revolution, in the sensor's frame."""
-    mount = task.mount
+    mount = run.mount
     ring = mount.sensor.ring.astype(np.uint8)
-    counter = _FrameCounter(task.start_ns, mount.frame_ns) if mount.sensor.scan_pattern else _RevolutionCounter.of(task)
+    counter = _FrameCounter(run.start_ns, mount.frame_ns) if mount.sensor.scan_pattern else _RevolutionCounter.of(run)
 
     def make(batch: FiringBatch, found: Echoes) -> _TracedPoints:
         firing, cloud = _points(mount, batch.firings, found)
@@ -91,7 +91,7 @@ def _sensor_scans(task: Task, runner: TaskRunner, object_names: tuple[str, ...])
 
     begun: list[PointCloud] = []  # of many sensors one waits for the others: what it holds then is little else
     current = 0
-    for number, cloud in chain.from_iterable(map(_split_revolutions, map_chunks(task, runner, make))):
+    for number, cloud in chain.from_iterable(map(_split_revolutions, map_chunks(run, runner, make))):
         if begun and number != current:
             yield _merge_and_clear(begun)
         current = number
@@ -141,12 +141,12 @@ class _RevolutionCounter:
     begin_rad: float  # where revolutions begin
 
     @classmethod
-    def of(cls, task: Task) -> "_RevolutionCounter":
-        """The counter of a task's sensor, which starts with its first firing."""
-        mount = task.mount
+    def of(cls, run: SensorRun) -> "_RevolutionCounter":
+        """The counter of a run's sensor, which starts with its first firing."""
+        mount = run.mount
         begin_rad = math.radians(mount.azimuth_fov_deg[0]) if mount.azimuth_fov_deg else 0.0
         everywhere = replace(mount, azimuth_fov_deg=None)
-        first = next(iter(task.timing.schedule(everywhere, task.start_ns, 1, 1))).firings
+        first = next(iter(run.timing.schedule(everywhere, run.start_ns, 1, 1))).firings
         ahead = (first.encoder_rad[0] - begin_rad) % (2 * math.pi) / (2 * math.pi)
         return cls(mount.rpm / MINUTE_NS, int(first.time_ns[0]), float(ahead), begin_rad)
 

@@ -22,7 +22,6 @@ from lidarcfg.world.scene_file import Cylinder, Sphere
 _NO_INDEX = np.empty(0, np.int32)
 TRIANGLE, SPHERE, CYLINDER = range(3)  # kinds of shapes
 NO_SLOT = -2
-GROUND_SLOT = -1
 NO_OBJECT = -1  # nothing; the ground is object 0
 Shapes = tuple[Array, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32]]  # and kinds, numbers, objects
 NO_SHAPES: Shapes = np.empty((0, 9)), np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0, np.int32)

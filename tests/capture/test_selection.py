@@ -81,6 +81,7 @@ def cut(path, name, low_s, high_s):
     return np.concatenate(keep)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("low_s", "high_s"), [(0, 0.5), (2.2, 2.3), (3.0, 3.0015), (3.9, math.inf), (0, 99)])
 def test_a_window_is_the_whole_cut(capture, full, low_s, high_s):
     """Also at its edges: the last block's azimuth comes from the packet after the window."""

@@ -68,11 +68,13 @@ def test_starting_up_loads_nothing_heavy(what):
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+@pytest.mark.slow
 def test_every_public_name_is_there():
     code = "import lidarcfg; print([getattr(lidarcfg, name) for name in lidarcfg.__all__] and 'all')"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "all\n"
 
 
+@pytest.mark.slow
 def test_the_results_of_a_search(out):
     result = json.loads((out / "two/result.json").read_text())
     assert {p.name for p in (out / "two").iterdir()} == {
@@ -198,6 +200,7 @@ def wait_for(folder, pattern=None):
         time.sleep(0.1)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_best_so_far(tmp_path):
     often = "from lidarcfg.cli import main, optimize; optimize.SAVE_EVERY_S = 0; main.main()"
     words = [
@@ -310,6 +313,7 @@ def test_the_time_left_is_by_recent_updates(log):
     assert log(updates)[-2] == " 47%  runs  about 53 s left"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_stopped_export_leaves_no_half_capture(tmp_path, name):
     words = [
@@ -337,6 +341,7 @@ def test_no_command_is_the_help():
     assert run().stdout == run("--help").stdout
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error():
     words = f"{sys.executable} -m lidarcfg sensors show vlp-16 | head -1; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", words], capture_output=True, text=True, cwd=ROOT)
@@ -357,6 +362,7 @@ def test_a_budget_in_seconds_cuts_a_large_swarm(tmp_path, blank_pictures):
     assert json.loads((tmp_path / "o/result.json").read_text())["seconds"] < 60
 
 
+@pytest.mark.slow
 def test_names_that_look_like_markup_or_mathematics(tmp_path):
     study = tmp_path / "q$\\frac$.yaml"
     study.write_text(
@@ -383,6 +389,7 @@ def test_resuming_from_what_is_none(tmp_path, out):
     assert "is of another search; study, solver and seed must be the same" in one_line(*words)
 
 
+@pytest.mark.slow
 def test_resuming_ends_where_an_unbroken_search_does(tmp_path, out, blank_pictures):
     """The same seed finds the same rig, whatever the threads."""
     words = ("--seed", 5, "--evaluations", 700, "--quiet")
@@ -391,6 +398,7 @@ def test_resuming_ends_where_an_unbroken_search_does(tmp_path, out, blank_pictur
     assert (tmp_path / "on/rig.yaml").read_bytes() == (tmp_path / "whole/rig.yaml").read_bytes()
 
 
+@pytest.mark.slow
 def test_whole_paths_in_a_result(tmp_path, blank_pictures):
     (tmp_path / "models").mkdir()
     (tmp_path / "models/mine.yaml").write_text("name: mine\nbeams: {elevation_deg: [-5, 5]}\n")
@@ -403,6 +411,7 @@ def test_whole_paths_in_a_result(tmp_path, blank_pictures):
     run("evaluate", tmp_path / "s.yaml", tmp_path / "a/b/rig.yaml", "--quiet", cwd="/")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_a_terminal_without_unicode(encoding):
     """Tables are drawn in what it has; what it lacks is a question mark."""

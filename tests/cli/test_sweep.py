@@ -34,6 +34,8 @@ from lidarcfg.study.study import load_study
 from tests.command_line import lidarcfg as command
 from tests.search.test_requirements_search import CHOICE
 
+pytestmark = pytest.mark.slow
+
 BIN = Path(sys.executable).parent
 PLAN = Path(__file__).parents[1] / "search/studies/plan.yaml"
 

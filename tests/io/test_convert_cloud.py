@@ -184,6 +184,7 @@ def test_every_way_between_clouds(tmp_path):
                 assert back.sensor_names == ours.sensor_names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 def test_a_full_disk_is_one_line(tmp_path, suffix):
     """As the system has it: no file may grow beyond a size. lazrs raises an error of its own for that."""
@@ -348,6 +349,7 @@ def test_odd_kitti_files(tmp_path):
         load_kitti(tmp_path / "none.bin", lambda warning: None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 def test_odd_las_files(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"

@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.geometry import transform
-from lidarcfg.io.messages import ros_store
+from lidarcfg.io.ros_messages import ros_store
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.viewer.contents import load_contents
 from lidarcfg.world.scene import load_scene
@@ -167,6 +167,7 @@ def matrix(translation, rotation):
     return T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("output", "version"), [("bag", 2), ("a.mcap", 2), ("a.bag", 1)])
 def test_bags(folder, output, version):
     """Points, /tf and boxes: a box holds its object's points, as they stand in the message, by 3 ms of its motion."""

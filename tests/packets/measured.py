@@ -57,7 +57,7 @@ def usual_mode(modes: np.ndarray) -> np.ndarray:
     return modes == values[counts.argmax()]
 
 
-def velodyne(unit: velodyne_model.Unit, packets: np.ndarray, host_ns: Times) -> Measured:
+def velodyne(unit: velodyne_model.VelodyneUnit, packets: np.ndarray, host_ns: Times) -> Measured:
     """The head turns evenly from each block's azimuth to the next one's. Packets (P,) are of one mode."""
     dual = bool(velodyne_model.is_dual(unit.packet, packets)[0])
     schedule = unit.firing_schedule(dual)

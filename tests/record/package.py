@@ -16,8 +16,8 @@ from lidarcfg import (
     pattern,
 )
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import simulated_frames as packets
-from lidarcfg.capture.scans import scans
+from lidarcfg.capture.export import simulated_packets as packets
+from lidarcfg.capture.revolutions import revolutions
 from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import viewer
 from lidarcfg.geometry import pose
@@ -71,9 +71,9 @@ __all__ = [
     "pose",
     "report_inputs",
     "returns",
+    "revolutions",
     "rig_lidars",
     "rig_of",
-    "scans",
     "seen_cuboids",
     "segment",
     "sensor_poses",

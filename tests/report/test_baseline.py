@@ -39,6 +39,7 @@ def folder(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_beside_a_search_and_an_evaluation(folder):
     done = lidarcfg("optimize", "s.yaml", "--baseline", "hand.yaml", "-o", "out", cwd=folder)
     result, alone = (

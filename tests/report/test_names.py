@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from lidarcfg.report.plots import draw_rig
@@ -42,6 +43,7 @@ def test_a_short_name_stays_and_a_long_one_keeps_its_ends():
     assert truncate(LONG["left"] + "1") != truncate(LONG["left"] + "2")
 
 
+@pytest.mark.slow
 def test_a_drawing_holds_long_names(tmp_path):
     """By matplotlib's own measures; it warns, which is an error here, of axes for which texts leave no room."""
     folder = folder_with(tmp_path)
@@ -56,6 +58,7 @@ def test_a_drawing_holds_long_names(tmp_path):
     assert all((one.p0 >= 0).all() and (one.p1 <= np.array(figure.bbox.size)).all() for one in extents)
 
 
+@pytest.mark.slow
 def test_tables_are_short_and_files_whole(tmp_path):
     folder = folder_with(tmp_path)
     found = lidarcfg("evaluate", "study.yaml", "rig.yaml", "-o", "out", cwd=folder)

@@ -54,6 +54,7 @@ def study_of(folder, method, objective, without="none"):
     return load_study(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "objective"),
     [case for case in itertools.product(METHODS, OBJECTIVES) if case[1] != "misses"] + [("annealing", "misses")],

@@ -26,6 +26,8 @@ from tests.command_line import lidarcfg
 from tests.requirements.cases import ALL, AROUND, BODY, random_rig, requirement
 from tests.returns_cases import mount
 
+pytestmark = pytest.mark.slow
+
 STUDY = """
 region: {min_m: [-10, -10, 0], max_m: [10, 10, 4], cuboid_m: [1, 1, 1]}
 vehicle: {boxes: [{name: body, center_m: [0, 0, 0.7], size_m: [2, 1, 1.4], exclude: true}]}

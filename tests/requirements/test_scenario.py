@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg import core
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
@@ -165,7 +165,7 @@ def exported(one, mounts, vehicle, duration_ns, frame_ns):
     """(frames, sensors) the records of the target in an export of the drive."""
     records = []
     drive = drive_of(one, mounts, vehicle)
-    streams = simulated_frames(
+    streams = simulated_packets(
         Rig("r", tuple(mounts)), one.scene, drive.trajectory, duration_ns, on_truth=records.append, vehicle=vehicle
     )
     assert sum(len(some.records) for some in in_time_order(streams)) > 0
@@ -177,6 +177,7 @@ def exported(one, mounts, vehicle, duration_ns, frame_ns):
     return counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "models", "speed_km_h", "rpms"),
     [
@@ -265,6 +266,7 @@ def test_points_are_on_the_target(sedan, monkeypatch):
     assert checked > 1000
 
 
+@pytest.mark.slow
 def test_all_presets_are_whole(sedan, request):
     """Each is read, says where it is from, and is checked at a speed: ahead and behind always, all by night."""
     names = set(presets())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.report.plots import save_figure
@@ -63,6 +63,7 @@ def judged(files, *changes):
     return study.requirements.items[0], found
 
 
+@pytest.mark.slow
 def test_the_verdict_in_seconds(files):
     """The left sensor sees the child earlier: without it the margin is that of the right one alone."""
     both, found = judged(files)
@@ -103,6 +104,7 @@ def test_what_no_rig_can_do(files):
     assert late not in found.notes
 
 
+@pytest.mark.slow
 def test_more_is_demanded(files):
     """More returns, or of one cluster, come later; another target, smaller, too."""
     _, plain = judged(files)
@@ -150,6 +152,7 @@ def test_mistakes(files, wrong, said):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["{size_m: [0.711, 0.298, 1.154]}", "child"])
 def test_the_files_of_a_drive(files, target):
     """Exported from its files, the worst run has the same returns in each frame; the plot shows all cases."""
@@ -164,7 +167,7 @@ def test_the_files_of_a_drive(files, target):
     scene = load_scene(written.scene)
     motion = Trajectory(np.eye(4), load_path(written.trajectory), START_NS)
     records = []
-    streams = simulated_frames(
+    streams = simulated_packets(
         rig, scene, motion, 23 * SECOND_NS // 10, on_truth=records.append, vehicle=rig_vehicle(rig)
     )
     for _ in in_time_order(streams):

@@ -250,6 +250,7 @@ def beside_brute_force(rigs, seed, fan):
     return between, wrong
 
 
+@pytest.mark.slow
 def test_beside_brute_force(fan):
     between, wrong = beside_brute_force(5, 2, fan)
     assert between >= 2
@@ -285,6 +286,7 @@ def posts_beside_brute_force(rigs, seed, fan):
     return between, wrong
 
 
+@pytest.mark.slow
 def test_posts_beside_brute_force(fan):
     between, wrong = posts_beside_brute_force(3, 5, fan)
     assert between >= 2
@@ -338,6 +340,7 @@ solver: {method: annealing, evaluations: 30, seed: 1}
 """
 
 
+@pytest.mark.slow
 def test_a_search_learns_of_places_in_shadows(fan, tmp_path):
     """All its rigs meet the requirement at the base grid's places, and none in the antenna's shadow."""
     fan(0.5, 0.1, (0, 0, 0), folder=tmp_path)

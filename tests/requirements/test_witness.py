@@ -35,6 +35,7 @@ def agreement(rigs, seed):
     return differ, off, some
 
 
+@pytest.mark.slow
 def test_beside_brute_force():
     differ, off, some = agreement(3, 12)
     assert differ == []
@@ -68,6 +69,7 @@ def test_a_thin_pillars_shadow_between_the_places():
     assert y / x == pytest.approx(0.1375 / 1.5, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lost", "sensors"), [(0, None), (1, None), (0, 2)])
 def test_counts_are_the_simulators(lost, sensors):
     """Of every sensor in every phase by the simulator, then by plain loops over phases and failures."""
@@ -88,6 +90,7 @@ def test_counts_are_the_simulators(lost, sensors):
         assert found.values[at] == naive.worst_returns(counts, lost, sensors)
 
 
+@pytest.mark.slow
 def test_mounting_errors_hold_in_a_quantile_of_draws():
     rig = random_rig(np.random.default_rng(5), 3)
     robust = Robust(position_sigma_m=0.05, angle_sigma_deg=2.0, samples=5, quantile=0.6)

@@ -26,6 +26,7 @@ def found(study):
     return [study.misses.found(study.rig(np.array(one["poses"])).mounts) for one in RIGS]
 
 
+@pytest.mark.slow
 def test_the_fewer_misses_the_better_the_detector_sees(found):
     """By our objects and our engine, which are not those of the detector's clouds."""
     assert spearmanr([one.mean for one in found], MAP).statistic <= -0.95

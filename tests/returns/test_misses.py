@@ -85,6 +85,7 @@ def by_hand(name, places, poses, kept=(0, 1, 2), body=BODY):
     return found
 
 
+@pytest.mark.slow
 def test_misses_are_those_of_plain_loops(tmp_path):
     """At ten places of three objects for two rigs, of three sensors, two and one; and their weighted mean."""
     loaded = study(tmp_path)
@@ -143,6 +144,7 @@ def outline(path):
     return shapely.unary_union([shapely.Polygon(part.exterior) for part in shapely.get_parts(whole)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("within_m", [(0.1, 20.0), (0.0, 0.5), (3.0, 3.2)])
 def test_places_are_within_distances_of_the_body_s_outline(tmp_path, within_m):
     """The distance of two outlines, turned and moved by shapely."""

@@ -57,6 +57,7 @@ def naive_max_vsr(mounts):
     return max(naive.vsr(cells, edges) for cells in spaces)
 
 
+@pytest.mark.slow
 def test_with_fixed_poses_it_is_what_trying_every_model_gives(tmp_path):
     """Three sensors, each by itself of any model or absent; costs by plain loops."""
     places = [((3, 3, 1.5), (0, 0, 0)), ((6, 2, 1), (0, 0.2, 0)), ((2, 5, 2), (0.3, 0, 1))]
@@ -75,6 +76,7 @@ def test_with_fixed_poses_it_is_what_trying_every_model_gives(tmp_path):
     assert len(found.points) >= 3
 
 
+@pytest.mark.slow
 def test_with_a_height_to_choose_it_is_what_a_fine_grid_gives(tmp_path):
     """One sensor moves up and down, another is fixed; the objective is constant between steps of the grid."""
     moving = "min: {position_m: [3, 3, 0.5], rpy_deg: [0, 10, 0]}, max: {position_m: [3, 3, 2.5], rpy_deg: [0, 10, 0]}"
@@ -109,6 +111,7 @@ def test_who_is_next():
     np.testing.assert_allclose(found, [0.0, 0.05, math.log(4), 0.0, math.log(4)], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_each_search_is_the_ordinary_one(tmp_path):
     """As far as its own search came, it is what `optimize` finds; and the front's got the most."""
     search = FrontRun(study(tmp_path), threads=2)
@@ -126,6 +129,7 @@ def test_each_search_is_the_ordinary_one(tmp_path):
     assert found.dominated_evaluations < even * sum(not one.on_front for one in found.candidates)
 
 
+@pytest.mark.slow
 def test_any_number_of_threads_and_a_resumed_search_give_the_same(tmp_path):
     loaded = study(tmp_path, solver="method: auto, evaluations: 4000, seed: 2")
     whole = front(loaded, threads=1)

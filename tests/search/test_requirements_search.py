@@ -34,6 +34,8 @@ from lidarcfg.solvers.search import unbounded
 from lidarcfg.study.study import load_study, with_solver
 from tests.returns_cases import mount
 
+pytestmark = pytest.mark.slow
+
 YARD = """
 region: {{min_m: [-8, -8, 0], max_m: [8, 8, 4], cuboid_m: [1, 1, 1]}}
 vehicle: {{boxes: [{{name: body, center_m: [0, 0, 0.7], size_m: [2, 1, 1.4]}}]}}

@@ -130,6 +130,7 @@ def test_no_result_is_worse_than_a_start(study, method):
         optimize(few, log=found.log, starts=[good.rig])
 
 
+@pytest.mark.slow
 def test_a_start_that_meets_all_requirements_is_the_least_that_is_found(study):
     text = CRATES.replace("{{", "{").replace("}}", "}").replace("{returns}", "60").replace("{lost}", "0")
     one = study(text.replace("{more}", "").replace("[0.5, 0.5, 1]", "[1, 1, 1]").replace("[1, 2]", "[1, 2.5]"))
@@ -152,6 +153,7 @@ def test_a_start_belongs_to_the_combination_with_its_models(study):
         points_by_combination(ones, [strange.rig(strange.midpoint)])
 
 
+@pytest.mark.slow
 def test_searches_that_choose_begin_with_a_start(study):
     """The dearest combination's rig is verified first, then the search goes down from there; and so does a front."""
     one = study(CHOICE.replace("RETURNS", "300").replace("13000", "14000"))

@@ -140,6 +140,7 @@ def test_what_only_a_value_makes_wrong_is_said_with_it(asks, tmp_path):
         asks(f"vary: {{sensors: [[{{model: fan-4, min: {still}, max: {still}}}]]}}")
 
 
+@pytest.mark.slow
 def test_a_run_is_another_once_anything_that_it_depends_on_is(asks, tmp_path, monkeypatch):
     """The study, the content of a file that it names, the versions; not how it is written."""
     text = "vary: {solver.seed: [1]}\nstudy: with_body.yaml"

@@ -31,6 +31,7 @@ def test_they_are_as_many_as_are_counted(mount):
         assert found == by_phase[phases].tolist()
 
 
+@pytest.mark.slow
 def test_plain_loops_count_as_many():
     mount = MOUNTS[0]
     target = Target(OBJECT)

@@ -41,6 +41,7 @@ def places(rng, count, size_m, far_m=30.0):
     return np.stack([far * np.cos(angle), far * np.sin(angle), 0 * far, heading], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_counts_are_the_simulators(size):
     """All families, at a random phase each, with the body in the way."""
@@ -60,6 +61,7 @@ def test_counts_are_the_simulators(size):
     assert total > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["vlp-16", "hdl-64e-s3", "os1-32"])
 def test_counts_are_those_of_plain_loops(model):
     one = replace(mount(model, (0.4, 0.1, 1.9), (3, 5, 170), 1200.0))

@@ -129,6 +129,7 @@ def test_nothing_narrow_stays_under_a_base(tmp_path):
             assert 0.2 < fits.mean() < 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", naive.OUT)
 @pytest.mark.parametrize("upright", [True, False])
 def test_on_a_car_as_plain_loops_have_it(tmp_path, side, upright):
@@ -153,6 +154,7 @@ def test_on_a_car_as_plain_loops_have_it(tmp_path, side, upright):
             assert axis == pytest.approx([0, 0, 1]) or not upright
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", naive.OUT)
 def test_along_the_normal_of_a_sphere(tmp_path, side):
     """Bases are on the sphere, and axes as near to its radius as a disc's middle to its rim."""
@@ -236,6 +238,7 @@ GROUPS = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None)
 @given(group=GROUPS, data=st.data())
 def test_what_does_not_violate_is_on_the_surface(tmp_path_factory, group, data):
@@ -278,6 +281,7 @@ def _off(loaded, body, points):
     return np.linalg.norm(np.maximum(away, 0), axis=1) + np.minimum(away.max(axis=1), 0)
 
 
+@pytest.mark.slow
 def test_a_search_stays_on_the_surface(tmp_path):
     """On one thread or two: the same rig, and plain loops find its bases on the car."""
     groups = (

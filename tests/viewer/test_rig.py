@@ -33,6 +33,8 @@ from tests.viewer.driver import (
     told,
 )
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 STUDY = """
 region: {min_m: [-8, -5, 0], max_m: [8, 5, 3], cuboid_m: [0.5, 0.5, 0.25]}

@@ -261,6 +261,7 @@ SMALL = Region.from_boxes((0, 0, 0), (1.5, 1, 0.5), (0.125, 0.125, 0.125))
 HOLED = Region.from_boxes((0, 0, 0), (1.5, 1, 0.5), (0.125, 0.125, 0.125), (VEHICLE,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_tilted_lidars_are_what_brute_force_says(count):
     truth = brute_force(HOLED, RIG[:count], 16)
@@ -282,6 +283,7 @@ def test_error_bars_hold_on_finer_grids(region):
         check(extrapolate(region, one, 1.0), in_the_limit(region, one), 0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

@@ -17,7 +17,7 @@ from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.livox import decode, encode, telemetry
 from lidarcfg.packets.livox.emulator import LivoxEmulator
 from lidarcfg.packets.livox.layout import bytes_of, is_points, packet_of
-from lidarcfg.packets.livox.model import DATA_TYPES, Facts, Settings, Unit, batches, settings, unit
+from lidarcfg.packets.livox.model import DATA_TYPES, LivoxFacts, LivoxSettings, LivoxUnit, batches, settings, unit
 from lidarcfg.packets.point_fields import LIVOX
 from lidarcfg.sensors.firing import STRONGEST, FiringBatch, PacketPace
 from lidarcfg.sensors.pattern_timing import PatternTiming, in_view
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
-__all__ = ["Facts", "Livox", "Settings", "Unit", "unit"]
+__all__ = ["Livox", "LivoxFacts", "LivoxSettings", "LivoxUnit", "unit"]
 MODES = ("strongest", "first")
 
 
@@ -37,8 +37,8 @@ class Livox(PatternTiming, Codec):
 
     point_fields = LIVOX
     scans = True
-    facts_model = Facts
-    settings_model = Settings
+    facts_model = LivoxFacts
+    settings_model = LivoxSettings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)

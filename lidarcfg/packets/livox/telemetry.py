@@ -8,7 +8,7 @@ import numpy as np
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.inertial import measured, samples
 from lidarcfg.packets.livox.layout import INERTIAL, PTP, VERSION, DataType, Packets, bytes_of, crcs
-from lidarcfg.packets.livox.model import Inertial, Unit
+from lidarcfg.packets.livox.model import Inertial, LivoxUnit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def imu_payloads(
-    unit: Unit, imu: Inertial, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: LivoxUnit, imu: Inertial, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """A packet a measurement: rates in rad/s, accelerations in g, gravity included."""
     headers = unit.facts.headers

@@ -17,7 +17,7 @@ from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, P
 from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.ouster import decode, encode, telemetry
 from lidarcfg.packets.ouster.emulator import OusterEmulator
-from lidarcfg.packets.ouster.model import Facts, Mode, Settings, Unit, batches, mode, unit
+from lidarcfg.packets.ouster.model import Mode, OusterFacts, OusterSettings, OusterUnit, batches, mode, unit
 from lidarcfg.packets.point_fields import OUSTER
 from lidarcfg.sensors.firing import FiringBatch, PacketPace, Pattern
 from lidarcfg.sensors.rig import Mount
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
-__all__ = ["Facts", "Ouster", "Settings", "Unit", "unit"]
+__all__ = ["Ouster", "OusterFacts", "OusterSettings", "OusterUnit", "unit"]
 
 
 class Ouster(Codec):
     """The packets of one Ouster."""
 
     point_fields = OUSTER
-    facts_model = Facts
-    settings_model = Settings
+    facts_model = OusterFacts
+    settings_model = OusterSettings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)

@@ -13,7 +13,7 @@ from lidarcfg.packets.ouster.layout import (
     assemble,
     unpack,
 )
-from lidarcfg.packets.ouster.model import Mode, Unit, in_window, measurements
+from lidarcfg.packets.ouster.model import Mode, OusterUnit, in_window, measurements
 from lidarcfg.sensors.firing import FiringBatch
 
 BYTE = np.arange(256.0)
@@ -23,7 +23,7 @@ LIGHT = np.where(BYTE <= 100, BYTE, 100 * maths.power(2.0, (BYTE - 100) / 16))
 MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signal2")
 
 
-def encode(unit: Unit, mode: Mode, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Bytes:
+def encode(unit: OusterUnit, mode: Mode, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Bytes:
     """(P, size): as `Codec.encode` says. Near-infrared light is none.
 
     Of two returns the nearer comes first, or the stronger, as the metadata says.
@@ -66,7 +66,7 @@ def encode(unit: Unit, mode: Mode, batch: FiringBatch, range_m: Array, reflectiv
     return assemble(layout, headers, columns, raw, layout.bits_of(MEASURED[: 3 * returns]), footer)
 
 
-def return_types(unit: Unit, range_m: Array, reflectivity: Bytes) -> Bytes:
+def return_types(unit: OusterUnit, range_m: Array, reflectivity: Bytes) -> Bytes:
     """(N, 2): of two returns that come by their strength, 0 of the stronger and 2 of the other."""
     least_m, most_m = unit.range.reported_m
     there = ((range_m >= least_m) & (range_m <= most_m)).all(axis=1)

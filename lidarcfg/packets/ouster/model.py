@@ -15,8 +15,9 @@ from pydantic import Field
 from lidarcfg.config.models import Model
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Flags, Times
-from lidarcfg.packets.facts import Header, Network, SensorInstance
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
+from lidarcfg.packets.sensor_unit import SensorUnit
 from lidarcfg.sensors.firing import FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Millimetres, Sensor
@@ -63,23 +64,23 @@ class Product(Model):
     number: Annotated[str, Field(min_length=1)]
 
 
-class Headers(Network):
+class OusterHeaders(Network):
     """The network headers of the sensor's datagrams."""
 
     data: Header
     imu: Header
 
 
-class Facts(Model):
+class OusterFacts(Model):
     """The key `ouster` of a sensor's file."""
 
     imu: Imu
     signal: Signal
     product: Product
-    headers: Headers
+    headers: OusterHeaders
 
 
-class Settings(Model):
+class OusterSettings(Model):
     """The key `ouster` of a mount in a rig's file."""
 
     profile: ProfileName | None = None  # none: the single or the dual one of 19 bits, by return_mode
@@ -90,7 +91,7 @@ class Settings(Model):
     imu_profile: Literal["LEGACY", "ACCEL32_GYRO32_NMEA"] = "LEGACY"
 
 
-class Unit(SensorInstance[Facts]):
+class OusterUnit(SensorUnit[OusterFacts]):
     """A sensor with the facts of its packets."""
 
     @property
@@ -105,7 +106,7 @@ class Mode:
     """How a mount's sensor sends."""
 
     layout: Layout
-    settings: Settings
+    settings: OusterSettings
     rpm: float
     window: tuple[int, int]  # first and last column that is measured, clockwise
     serial: int
@@ -138,9 +139,9 @@ class Mode:
 
 
 @lru_cache(64)
-def unit(sensor: Sensor) -> Unit:
+def unit(sensor: Sensor) -> OusterUnit:
     """The sensor with the key `ouster` of its file. Raises ConfigError with file, line and key."""
-    facts = sensor.section.checked(Facts)
+    facts = sensor.section.checked(OusterFacts)
     if sensor.count > LASERS_MAX:
         raise ConfigError(
             f"sensor {sensor.name!r} has {sensor.count} beams; allowed with Ouster's packets: {LASERS_MAX}"
@@ -150,12 +151,12 @@ def unit(sensor: Sensor) -> Unit:
         if len(values) > 1 or (key == "lateral_offset_mm" and values != {0.0}):
             allowed = "none" if key == "lateral_offset_mm" else "the same of all beams"
             raise ConfigError(f"sensor {sensor.name!r}: beams.{key}: allowed with Ouster's packets: {allowed}")
-    return Unit(sensor, facts)
+    return OusterUnit(sensor, facts)
 
 
 def mode(sensor: Sensor, mount: Mount) -> Mode:
     """How a mount's sensor sends. Raises ConfigError for what it cannot."""
-    settings = mount.settings.checked(Settings)
+    settings = mount.settings.checked(OusterSettings)
     if mount.return_mode not in ("strongest", "dual"):
         raise ConfigError(f"return_mode: {mount.return_mode!r} is not allowed; an Ouster sends the strongest, or dual")
     dual = mount.return_mode == "dual"

@@ -33,7 +33,7 @@ from lidarcfg.sensors.firing import Firings, joined
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import firing_ends
-from lidarcfg.simulate.tasks import CHUNK_NS, Task, build_tasks
+from lidarcfg.simulate.sensor_runs import CHUNK_NS, SensorRun, sensor_runs
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.vehicle import Vehicle
 
@@ -92,7 +92,7 @@ def fire(
     on_progress: Callable[[float], None],
 ) -> list[TargetReturns]:
     """The returns of all runs: each sensor fires alike in all of them, so they share its firings."""
-    tasks = [build_tasks(drive_of(one, mounts, vehicle), CHUNK_NS) for one in approaches]
+    tasks = [sensor_runs(drive_of(one, mounts, vehicle), CHUNK_NS) for one in approaches]
     frames = [int(one.lead_s * SECOND_NS) // frame_ns for one in approaches]
     hits = [TargetReturns(count, len(mounts), keep_points) for count in frames]
     streams = [_frames(task, frame_ns, max(frames)) for task in tasks[0]]
@@ -116,7 +116,7 @@ class _Frame(NamedTuple):
     T_sensor_vehicle: Array
 
 
-def _frames(task: Task, frame_ns: int, count: int) -> Iterator[_Frame]:
+def _frames(task: SensorRun, frame_ns: int, count: int) -> Iterator[_Frame]:
     """A sensor's firings, frame by frame."""
     period_ns = task.timing.pace(task.mount).period_ns
     packets = count * frame_ns // period_ns + 2
@@ -146,7 +146,7 @@ def _frame(mount: Mount, batches: Sequence[tuple[Counts, Firings]], frame: int) 
     return _Frame(fired, starts_m, directions, offset_m, T_vehicle_sensor, inverse(T_vehicle_sensor))
 
 
-def _returns(approach: Approach, task: Task, frame: _Frame, number: int, frame_ns: int) -> Array:
+def _returns(approach: Approach, task: SensorRun, frame: _Frame, number: int, frame_ns: int) -> Array:
     """(N, 3) the points of the target that a sensor reports in a frame, in the world, heights above the ground."""
     mount = task.mount
     assert mount.sensor.range

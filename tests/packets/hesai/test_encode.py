@@ -7,8 +7,8 @@ import pytest
 from hydra4.decoders.pandar_xt32 import PandarXT32
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
-from lidarcfg.capture.frames import frames
+from lidarcfg.capture.ethernet import ethernet_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConfigError, PacketError
@@ -49,7 +49,7 @@ def capture(of, path, packets, keep=lambda payloads: slice(None)):
     parts = list(sensed(of, packets))
     some = [(part[3], keep(part[3])) for part in parts]
     kept = [replace(one, time_ns=one.time_ns[rows], data=one.data[rows]) for one, rows in some]
-    write_pcap(path, (frames(of.host, one) for one in kept))
+    write_pcap(path, (ethernet_frames(of.host, one) for one in kept))
     save_sidecar_files(path, [of])
     columns = [np.concatenate([part[i] for part in parts]) for i in (1, 2)]
     firings = [np.concatenate([getattr(part[0].firings, key) for part in parts]) for key in ("time_ns", "encoder_rad")]
@@ -80,6 +80,7 @@ KINDS = {  # of the first and the second of two returns; the second strongest ma
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "mode"), [*SINGLE, *PAIRS])
 def test_each_return_comes_back(model, mode, tmp_path):
     """Range within half a unit, direction within half a hundredth of a degree, the rest exactly."""
@@ -321,7 +322,7 @@ def test_a_rig_of_two_in_the_street(tmp_path):
     rig = Rig("two", mounts)
     path = tmp_path / "two.pcap"
     truth = []
-    streams = simulated_frames(rig, load_scene(STREET), np.eye(4), SECOND_NS // 10, on_truth=truth.append)
+    streams = simulated_packets(rig, load_scene(STREET), np.eye(4), SECOND_NS // 10, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     names = {one.name for one in save_sidecar_files(path, mounts)}
     assert names == {"two-left-192.168.1.201-2368-angles.csv", "two-right-192.168.1.202-2368-angles.csv"}
@@ -422,7 +423,7 @@ def test_packets_that_make_no_sense(at, value, what, tmp_path):
     of = mount("pandar-xt16")
     ((_, _, _, payloads),) = sensed(of, 20)
     payloads.data[:, at] = value
-    write_pcap(path, [frames(of.host, payloads)])
+    write_pcap(path, [ethernet_frames(of.host, payloads)])
     save_sidecar_files(path, [of])
     with refused(what, kind=PacketError):
         list(decode_pcap(path, no_warning))
@@ -442,7 +443,7 @@ def test_seconds_since_1970_most_significant_first(tmp_path):
     ((_, _, _, payloads),) = sensed(of, 20)
     second = START_NS // SECOND_NS + 5
     payloads.data[:, 553:559] = np.frombuffer(b"\0\0" + second.to_bytes(4), np.uint8)
-    write_pcap(path, [frames(of.host, payloads)])
+    write_pcap(path, [ethernet_frames(of.host, payloads)])
     save_sidecar_files(path, [of])
     cloud = concatenate(list(decode_pcap(path, no_warning)))
     assert set((cloud.time_ns // SECOND_NS).tolist()) == {second}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.frames import frames
+from lidarcfg.capture.ethernet import ethernet_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.families import codec
@@ -14,6 +14,7 @@ from lidarcfg.units import START_NS
 from tests.packets.hesai.recorded import mount
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 @pytest.mark.parametrize("model", ["pandar-xt32", "pandar-xt16", "xt32m2x", "qt128", "ot128"])
 def test_changed_octets(model, mode, tmp_path):
@@ -34,7 +35,7 @@ def test_changed_octets(model, mode, tmp_path):
             column = rng.choice(head) if rng.random() < 0.7 else rng.integers(data.shape[1])
             rows = slice(None) if rng.random() < 0.5 else rng.integers(50)
             data[rows, column] = rng.integers(256)
-        write_pcap(path, [frames(of.host, replace(payloads, data=data))])
+        write_pcap(path, [ethernet_frames(of.host, replace(payloads, data=data))])
         try:
             for cloud in decode_pcap(path, lambda warning: None):
                 assert np.isfinite(cloud.xyz).all()

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.families import codec
@@ -109,7 +109,7 @@ def test_a_mixed_capture_reads_without_rig_and_counts_what_is_lost(tmp_path):
     rig = Rig("two", (mount(), mount("hap", "spherical", name="ahead", host="192.168.1.122")))
     there = scene(tmp_path, "ground: {reflectivity: 12}")
     path = tmp_path / "a.pcap"
-    write_pcap(path, in_time_order(simulated_frames(rig, there, np.eye(4), 60_000_000)))
+    write_pcap(path, in_time_order(simulated_packets(rig, there, np.eye(4), 60_000_000)))
     stats = []
     whole = decoded(path, on_stats=stats.append)
     assert {one.models for one in stats} == {("mid-360",), ("hap",)}

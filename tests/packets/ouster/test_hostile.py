@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.frames import frames
+from lidarcfg.capture.ethernet import ethernet_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
@@ -83,7 +83,7 @@ def test_mutated_packets(tmp_path, profile):
         heads = rng.integers(0, len(data), 8)
         data[heads, rng.integers(7 if profile != "LEGACY" else 0, 60, 8)] ^= rng.integers(1, 256, 8).astype(np.uint8)
         changed = Payloads(payloads.time_ns, data, 7502, payloads.network, payloads.header, 0)
-        write_pcap(path, [frames(one.host, changed)])
+        write_pcap(path, [ethernet_frames(one.host, changed)])
         stats = []
         try:
             cloud = concatenate(list(decode_pcap(path, lambda warning: None, on_stats=stats.append)))
@@ -124,7 +124,7 @@ def test_fragments(tmp_path, how):
     payloads, metadata = packets(one, 32)
     for name in ("whole", "odd"):
         (tmp_path / f"{name}.json").write_bytes(metadata)
-    write_pcap(tmp_path / "whole.pcap", [frames(one.host, payloads)])
+    write_pcap(tmp_path / "whole.pcap", [ethernet_frames(one.host, payloads)])
     whole = concatenate(list(decode_pcap(tmp_path / "whole.pcap", pytest.fail)))
     found = records(tmp_path / "whole.pcap")
     rng = random.Random(1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import check_exportable, in_time_order, simulated_frames
+from lidarcfg.capture.export import check_exportable, in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError, PacketError
@@ -53,7 +53,7 @@ def exported(folder, mounted, duration_ns=50_000_000, start_ns=START_NS):
     rig = Rig("rig", (mounted,))
     room = scene(folder, SCENE)
     write_pcap(
-        path, in_time_order(simulated_frames(rig, room, np.eye(4), duration_ns, start_ns, on_truth=truth.append))
+        path, in_time_order(simulated_packets(rig, room, np.eye(4), duration_ns, start_ns, on_truth=truth.append))
     )
     return path, np.concatenate(truth)
 
@@ -222,7 +222,7 @@ def test_beside_a_helios_on_one_host(tmp_path, sensor):
     mounts = mount("airy", sensor=sensor), mount("helios-32", name="helios", data_port=6700)
     path = tmp_path / "two.pcap"
     truth = []
-    streams = simulated_frames(Rig("rig", mounts), scene(tmp_path, SCENE), np.eye(4), 10**7, on_truth=truth.append)
+    streams = simulated_packets(Rig("rig", mounts), scene(tmp_path, SCENE), np.eye(4), 10**7, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     stats = []
     clouds = list(decode_pcap(path, no_warning, on_stats=stats.append))

@@ -14,6 +14,7 @@ from tests.packets.robosense.fixtures import mount
 MOST_M = 65535 * 0.0025 + 0.035
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 @pytest.mark.parametrize("model", ["helios-16p", "helios-32", "airy"])
 def test_changed_bytes(model, mode, tmp_path):

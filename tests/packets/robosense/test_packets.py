@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import check_exportable, in_time_order, simulated_frames
+from lidarcfg.capture.export import check_exportable, in_time_order, simulated_packets
 from lidarcfg.capture.pcap import Datagram, write_pcap
 from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import concatenate
@@ -33,7 +33,7 @@ def exported(tmp_path, mounts, duration_s=0.25, start_ns=START_NS):
     truth = []
     rig = Rig("rig", tuple(mounts))
     way = np.eye(4)
-    streams = simulated_frames(
+    streams = simulated_packets(
         rig, scene(tmp_path, SCENE), way, round(duration_s * 1e9), start_ns, on_truth=truth.append
     )
     write_pcap(path, in_time_order(streams))
@@ -58,6 +58,7 @@ def patched(one, *patches):
     return Datagram(one.time_ns, one.host, one.source_port, one.port, bytes(data))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "last", "first", "dual"])
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("fov", [None, (300, 60)])

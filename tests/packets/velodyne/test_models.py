@@ -120,6 +120,7 @@ def test_every_return_comes_back(name, mode):
     assert error_deg.max() <= 0.014
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 @pytest.mark.parametrize("mode", MODES)
 def test_packets_say_what_they_are(name, mode, tmp_path):
@@ -139,6 +140,7 @@ def test_packets_say_what_they_are(name, mode, tmp_path):
     assert stats[0].return_modes == (mode if facts(sensor).packet.return_modes or mode == "dual" else "strongest",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 @pytest.mark.parametrize("mode", MODES)
 def test_another_decoder_agrees(name, mode, tmp_path, calibrations):
@@ -426,6 +428,7 @@ def test_what_a_sensor_does_not_do():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())

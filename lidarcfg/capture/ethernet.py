@@ -44,7 +44,7 @@ UDP = np.dtype([(key, ">u2") for key in ("source_port", "port", "length", "check
 
 
 @dataclass(frozen=True)
-class Frames:
+class EthernetFrames:
     """Ethernet frames as a capture file has them, in the order of time."""
 
     time_ns: Times  # (n,) host time, in whole microseconds
@@ -76,8 +76,8 @@ class Datagrams:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """N frames in a piece of a capture, of one kind of link."""
+class FrameBatch:
+    """N frames of a capture, of one kind of link."""
 
     link: int
     time_ns: Times  # (N,)
@@ -86,8 +86,8 @@ class Piece:
     data: Bytes
 
 
-def frames(host: str, payloads: Payloads) -> Frames:
-    """The payloads as a host sends them. Datagrams above the MTU leave as fragments at the same time."""
+def ethernet_frames(host: str, payloads: Payloads) -> EthernetFrames:
+    """The frames in which a host sends payloads. Datagrams above the MTU leave as fragments at the same time."""
     count, size = payloads.data.shape
     header = payloads.header
     udp = np.zeros(count, UDP)
@@ -106,14 +106,14 @@ def frames(host: str, payloads: Payloads) -> Frames:
     if UDP.itemsize + size <= most:
         flags = DONT_FRAGMENT if header.dont_fragment else 0
         ids = ids if header.numbered else 0 * ids
-        return Frames(payloads.time_ns, _records(host, payloads, flags, ids, udp, payloads.data))
+        return EthernetFrames(payloads.time_ns, _records(host, payloads, flags, ids, udp, payloads.data))
     records = []
     body = np.concatenate([udp.view(np.uint8).reshape(count, -1), payloads.data], axis=1)
     for at in range(0, body.shape[1], most):
         flags = at // 8 | (MORE_FRAGMENTS if at + most < body.shape[1] else 0)
         records.append(_records(host, payloads, flags, ids, udp[:, None][:, :0], body[:, at : at + most]))
     together = [record for row in zip(*records, strict=True) for record in row]
-    return Frames(np.repeat(payloads.time_ns, len(records)), together)
+    return EthernetFrames(np.repeat(payloads.time_ns, len(records)), together)
 
 
 def _records(
@@ -173,7 +173,7 @@ def gather(data: Bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArr
 
 
 class _IpPackets(NamedTuple):
-    """N IPv4 packets in the frames of a piece."""
+    """N IPv4 packets in the frames of a batch."""
 
     which: NDArray[np.int64]  # (N,) the frame
     ip: NDArray[np.int64]  # (N,) where the IP header is in the data
@@ -185,13 +185,13 @@ class _IpPackets(NamedTuple):
     cut: int  # how many others hold only the beginning of a datagram, because the capture truncates frames
 
 
-def _ip_packets(piece: Piece) -> _IpPackets:
+def _ip_packets(batch: FrameBatch) -> _IpPackets:
     """The IPv4 packets behind the frames' link headers and VLAN tags."""
-    at, kind = LINK_HEADERS[piece.link]
-    data = piece.data
-    which = np.arange(len(piece.size))
-    ip = piece.start + at
-    left = piece.size - at
+    at, kind = LINK_HEADERS[batch.link]
+    data = batch.data
+    which = np.arange(len(batch.size))
+    ip = batch.start + at
+    left = batch.size - at
 
     def keep(good: NDArray[np.bool_]) -> None:
         nonlocal which, ip, left
@@ -220,34 +220,39 @@ def _ip_packets(piece: Piece) -> _IpPackets:
     return _IpPackets(which, ip, head, length, end, whole & ~cut, part & good & (end > length), int(cut.sum()))
 
 
-def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
+def datagrams(batch: FrameBatch, reassembly: Reassembly) -> Datagrams:
     """The UDP datagrams in the frames. A fragmented one is in the place of the fragment that completed it."""
-    which, ip, head, length, end, whole, part, cut = _ip_packets(piece)
+    which, ip, head, length, end, whole, part, cut = _ip_packets(batch)
     reassembly.cut += cut
-    found = _whole(piece, which[whole], ip[whole], head[whole], length[whole], end[whole])
+    found = _whole(batch, which[whole], ip[whole], head[whole], length[whole], end[whole])
     if not part.any():
         return found
     rows = which[part], ip[part] + length[part], end[part] - length[part]
-    return _with_fragments(piece, found, which[whole], rows, head[part], reassembly)
+    return _with_fragments(batch, found, which[whole], rows, head[part], reassembly)
 
 
 def _whole(
-    piece: Piece, which: NDArray[Any], ip: NDArray[Any], head: NDArray[Any], length: NDArray[Any], end: NDArray[Any]
+    batch: FrameBatch,
+    which: NDArray[Any],
+    ip: NDArray[Any],
+    head: NDArray[Any],
+    length: NDArray[Any],
+    end: NDArray[Any],
 ) -> Datagrams:
-    ports = gather(piece.data, ip + length, UDP)
+    ports = gather(batch.data, ip + length, UDP)
     return Datagrams(
-        time_ns=piece.time_ns[which],
+        time_ns=batch.time_ns[which],
         host=np.ascontiguousarray(head["source"]).view(">u4")[:, 0].astype(np.uint32),
         source_port=ports["source_port"].astype(np.uint16),
         port=ports["port"].astype(np.uint16),
         start=ip + length + UDP.itemsize,
         size=np.maximum(end - length - UDP.itemsize, 0),
-        data=piece.data,
+        data=batch.data,
     )
 
 
 def _with_fragments(
-    piece: Piece,
+    batch: FrameBatch,
     whole: Datagrams,
     whole_at: NDArray[np.int64],
     rows: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
@@ -260,7 +265,7 @@ def _with_fragments(
     """
     frame, start, size = rows
     key = np.ascontiguousarray(np.concatenate([head["source"], head["destination"]], axis=1)).view(">u8")[:, 0]
-    first, last = _runs(piece.time_ns[frame], key, head, size, reassembly)
+    first, last = _runs(batch.time_ns[frame], key, head, size, reassembly)
     counts = last - first + 1
     before = np.cumsum(counts) - counts
     in_runs = np.repeat(first - before, counts) + np.arange(counts.sum())
@@ -268,8 +273,8 @@ def _with_fragments(
     alone[in_runs] = False
     late: dict[int, bytes] = {}  # by the last fragment that came
     for row in np.flatnonzero(alone).tolist():
-        content = piece.data[start[row] : start[row] + size[row]].tobytes()
-        datagram = reassembly.add(_fragment(int(piece.time_ns[frame[row]]), head[row], content))
+        content = batch.data[start[row] : start[row] + size[row]].tobytes()
+        datagram = reassembly.add(_fragment(int(batch.time_ns[frame[row]]), head[row], content))
         if datagram is not None and len(datagram) >= UDP.itemsize:
             late[row] = datagram
     if not len(first) and not late:
@@ -278,12 +283,12 @@ def _with_fragments(
     lengths = [np.add.reduceat(size[in_runs], before) if len(first) else first, whole.size + UDP.itemsize]
     sizes = np.concatenate([np.array(list(map(len, late.values())), np.int64), *lengths])
     starts = np.concatenate([start[in_runs], whole.start - UDP.itemsize])
-    data = _joined(b"".join(late.values()), piece.data, starts, np.concatenate([size[in_runs], lengths[1]]))
+    data = _joined(b"".join(late.values()), batch.data, starts, np.concatenate([size[in_runs], lengths[1]]))
     begins = np.cumsum(sizes) - sizes
     ports = gather(data, begins, UDP)
     at = np.concatenate([frame[made], whole_at])
     together = Datagrams(
-        time_ns=piece.time_ns[at],
+        time_ns=batch.time_ns[at],
         host=np.concatenate([(key[made] >> np.uint64(32)).astype(np.uint32), whole.host]),
         source_port=ports["source_port"].astype(np.uint16),
         port=ports["port"].astype(np.uint16),

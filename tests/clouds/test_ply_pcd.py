@@ -216,6 +216,7 @@ FILES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(sorted(FILES)), st.lists(st.tuples(st.integers(0, 300), st.integers(0, 255)), max_size=4))
 def test_any_damage_ends_well(tmp_path_factory, name, changes):

@@ -26,7 +26,7 @@ PUSH_S = 1.0  # between two datagrams that nobody asked for
 TO_ALL = "255.255.255.255" if sys.platform == "linux" else ""  # where datagrams arrive that are sent to all
 
 
-class Services:
+class EmulationServer:
     """Answers on ports between entering and leaving it.
 
     `services` are pairs of an address of this machine and a service there. `on_message` gets lines for the terminal,
@@ -41,7 +41,7 @@ class Services:
         self._thread = Thread(target=self._run, name="services", daemon=True)
         self._running: Future[None] = Future()
 
-    def __enter__(self) -> "Services":
+    def __enter__(self) -> "EmulationServer":
         try:
             for port in self._ports:
                 port.bind()

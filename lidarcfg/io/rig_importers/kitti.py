@@ -12,8 +12,8 @@ import numpy as np
 from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array, inverse
 from lidarcfg.inputs import read_regular
-from lidarcfg.io.kits.frames import Pose
-from lidarcfg.io.kits.kit import Kit, LidarFrame
+from lidarcfg.io.rig_importers.frame_tree import Pose
+from lidarcfg.io.rig_importers.sensor_kit import LidarFrame, SensorKit
 
 RAW = "calib_imu_to_velo.txt"
 ODOMETRY = "calib.txt"
@@ -36,7 +36,7 @@ def is_kitti(path: Path) -> bool:
     return path.suffix.lower() == ".txt"
 
 
-def read_kitti(path: Path) -> Kit:
+def read_kitti(path: Path) -> SensorKit:
     """The kit of a calibration. Raises ConversionError, OSError."""
     if path.is_dir():
         path = next(path / name for name in (RAW, ODOMETRY) if (path / name).is_file())
@@ -61,9 +61,9 @@ def read_kitti(path: Path) -> Kit:
     return _kit(path, inverse(T_lidar_vehicle), cameras, note)
 
 
-def _kit(path: Path, T_vehicle_lidar: Array, cameras: tuple[str, ...], note: str) -> Kit:
+def _kit(path: Path, T_vehicle_lidar: Array, cameras: tuple[str, ...], note: str) -> SensorKit:
     frame = LidarFrame(LIDAR, Pose.of(T_vehicle_lidar), (MODEL,))
-    return Kit(str(path), path.stem, (frame,), cameras, notes=(note,))
+    return SensorKit(str(path), path.stem, (frame,), cameras, notes=(note,))
 
 
 def _rows(path: Path) -> dict[str, list[float]]:

@@ -10,8 +10,8 @@ from typing import Any
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import check_memory, check_regular
-from lidarcfg.io.kits.frames import listed, pose_of_quaternion
-from lidarcfg.io.kits.kit import Kit, LidarFrame
+from lidarcfg.io.rig_importers.frame_tree import listed, pose_of_quaternion
+from lidarcfg.io.rig_importers.sensor_kit import LidarFrame, SensorKit
 
 SENSOR = "sensor.json"
 CALIBRATED = "calibrated_sensor.json"
@@ -35,7 +35,7 @@ def tables_folder(path: Path) -> Path | None:
     return found[0] if found else None
 
 
-def read_nuscenes(folder: Path, scene: str | None) -> Kit:
+def read_nuscenes(folder: Path, scene: str | None) -> SensorKit:
     """The kit of a scene, or of tables that have one calibration of each LiDAR. Raises ConversionError."""
     sensors = {row["token"]: row for row in _table(folder, SENSOR)}
     calibrated = _table(folder, CALIBRATED)
@@ -61,7 +61,7 @@ def read_nuscenes(folder: Path, scene: str | None) -> Kit:
         pose = pose_of_quaternion(at, _numbers(at, row, "translation", 3), _numbers(at, row, "rotation", 4))
         hints = (OWN[name],) if name in OWN else ()
         frames[name] = LidarFrame(name, pose, hints)
-    return Kit(str(folder), scene or folder.resolve().name, tuple(frames.values()), tuple(others))
+    return SensorKit(str(folder), scene or folder.resolve().name, tuple(frames.values()), tuple(others))
 
 
 def _table(folder: Path, name: str) -> list[Row]:

@@ -1,22 +1,20 @@
-"""Facts about packets that the sensor files of several makers share: firing times, network headers."""
+"""A sensor with the facts of its packets, as each maker's `model` has it; and the firing sequence that makers share."""
 
-import ipaddress
 from dataclasses import dataclass
 from typing import Annotated, Generic, TypeVar
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
-from lidarcfg.config.models import Model, Section, validation_error
+from lidarcfg.config.models import Model, Section
 from lidarcfg.errors import ConfigError
-from lidarcfg.sensors.sensor import Byte, Range, Sensor
+from lidarcfg.sensors.sensor import Range, Sensor
 
-MAC = "^[0-9a-f]{{2}}(:[0-9a-f]{{2}}){{{}}}$"
 Nanoseconds = Annotated[int, Field(ge=-(10**9), le=10**9)]
 F = TypeVar("F", bound=Model)
 
 
 @dataclass(frozen=True)
-class SensorInstance(Generic[F]):
+class SensorUnit(Generic[F]):
     """A sensor with the facts of its packets."""
 
     sensor: Sensor
@@ -63,29 +61,3 @@ def check_firing(section: Section, firing: SequenceFiring, sensor: Sensor) -> No
         raise section.error(key, f"has {len(offsets)} values; allowed: {sensor.count}, one a beam")
     if max(offsets) - min(offsets) >= firing.sequence_ns:
         raise section.error(key, f"a firing lies beyond the sequence's {firing.sequence_ns} ns")
-
-
-def _check_address(value: str) -> str:
-    try:
-        return str(ipaddress.IPv4Address(value))
-    except ValueError:
-        raise validation_error(f"{value!r} is not an IPv4 address such as 255.255.255.255") from None
-
-
-class Header(Model):
-    """The IP and UDP headers of a stream of datagrams."""
-
-    ttl: Byte
-    dont_fragment: bool
-    numbered: bool  # the IP id counts up; else it is 0, but for datagrams that are sent in fragments
-    checksum: bool  # UDP's; else it is 0, which says that there is none
-    source_port: Annotated[int, Field(ge=1, le=65535)] | None = None  # none: the one it is sent to
-
-
-class Network(Model):
-    """The destination of the sensor's packets, and the maker's half of its MAC address."""
-
-    source: str = ""
-    mac_prefix: Annotated[str, Field(pattern=MAC.format(2))]  # the other half is its address's, but for the first byte
-    destination_mac: Annotated[str, Field(pattern=MAC.format(5))]
-    destination_ip: Annotated[str, AfterValidator(_check_address)]

@@ -1,11 +1,7 @@
-"""Frames of other tools: names that ROS allows, quaternions, and a tree of frames.
-
-In a tree each frame has its pose in its parent, and so in any other frame above or beside it.
-"""
+"""A tree of frames: each has its pose in its parent, and so in any other frame above or beside it."""
 
 import math
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,41 +9,10 @@ import numpy as np
 from lidarcfg.config.models import Vec3
 from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array, angles, inverse, pose
-from lidarcfg.sensors.rig import Rig
+from lidarcfg.io.ros_names import BASE_LINK
 
-BASE_LINK = "base_link"  # ROS REP-105's name for the vehicle frame
-MAP = "map"  # and for the world frame
 UNIT = 1e-3  # the length of a quaternion differs by at most that from 1
 NAMED = 12  # frames that an error names, at most
-
-
-def ros_name(name: str) -> str:
-    """The name with what ROS 2 allows in topics and frames: letters, digits and _, a letter first."""
-    plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
-    return plain if plain[0].isalpha() else f"lidar_{plain}"
-
-
-def ros_names(rig: Rig, on_warning: Callable[[str], None]) -> dict[str, str]:
-    """The ROS names of the rig's sensors. Raises ConversionError if two are the same."""
-    taken = {BASE_LINK: "the vehicle", MAP: "the world"}
-    names = {}
-    for mount in rig.mounts:
-        name = ros_name(mount.name)
-        if name in taken:
-            raise ConversionError(f"{mount.name!r} would be {name} in ROS, which is {taken[name]}; rename the sensor")
-        if name != mount.name:
-            on_warning(f"{mount.name!r} is called {name} in ROS")
-        taken[name] = repr(mount.name)
-        names[mount.name] = name
-    return names
-
-
-def quaternion_xyzw(T: Array) -> tuple[float, float, float, float]:
-    """The rotation of T (4, 4) as a unit quaternion, w not negative."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True).tolist()
-    return x, y, z, w
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any
 
 from lidarcfg.config.document import Document, document
 from lidarcfg.errors import ConversionError
-from lidarcfg.io.kits.frames import FrameTree, Joint, Pose
-from lidarcfg.io.kits.kit import Kit, kit_of_tree
+from lidarcfg.io.rig_importers.frame_tree import FrameTree, Joint, Pose
+from lidarcfg.io.rig_importers.sensor_kit import SensorKit, kit_of_tree
 
 FILES = ("sensors_calibration.yaml", "sensor_kit_calibration.yaml")
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -25,7 +25,7 @@ def is_calibration(values: Any) -> bool:
     return any(isinstance(frame, Mapping) and {"x", "roll"} <= frame.keys() for frame in below)
 
 
-def read_autoware(path: Path, models: Mapping[str, str]) -> Kit:
+def read_autoware(path: Path, models: Mapping[str, str]) -> SensorKit:
     """The kit of a calibration and the one beside it, or of those in a folder. Raises ConversionError, ConfigError."""
     folder = path if path.is_dir() else path.parent
     paths = [folder / name for name in FILES if (folder / name).is_file()]

@@ -1,4 +1,4 @@
-"""A capture as scans: the points of one sensor and one revolution of its head."""
+"""A capture cut into revolutions: the points of one sensor while its head turns once."""
 
 import math
 from collections import defaultdict
@@ -22,7 +22,7 @@ LATE_NS = 10**8  # a packet later than this was not overtaken; instead, the cloc
 LONGEST_NS = 10**9  # a head that does not turn makes no revolutions
 
 
-def scans(
+def revolutions(
     path: Path,
     on_warning: Callable[[str], None],
     rig: Rig | None = None,
@@ -31,12 +31,12 @@ def scans(
     on_source: Callable[[str, str], None] = lambda name, family: None,
     driver: bool = False,
 ) -> Iterator[PointCloud]:
-    """The scans of a capture, each in its sensor's frame, in the order in which they end; memory is bounded.
+    """The points of each revolution, in its sensor's frame, in the order in which they end; memory is bounded.
 
     A revolution begins with the first packet whose azimuth has passed 0, as velodyne_driver has it (a VLS-128's lasers
     that fire up to 8.7 us before the packet's stamp end the one before), and is no longer than a second.
-    `on_source` is called with name and family of each source before its first scan. With `driver`, clouds also have the
-    columns that the makers' ROS drivers publish. Raises PacketError and ConfigError.
+    `on_source` is called with name and family of each source before its first revolution. With `driver`, clouds also
+    have the columns that the makers' ROS drivers publish. Raises PacketError and ConfigError.
     """
     if rig:
         own = tuple(replace(mount, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0)) for mount in rig.mounts)
@@ -46,11 +46,11 @@ def scans(
     def observed() -> Iterator[list[Packets]]:
         for chunk in CaptureReader(path, on_warning, rig, model).chunks(chunk_packets):
             for packets in chunk:
-                sender = packets.sender
-                if sender.index not in heads:
-                    on_source(sender.name, sender.family)
+                sensor = packets.sensor
+                if sensor.index not in heads:
+                    on_source(sensor.name, sensor.family)
                 heading_rad = packets.decoder.heading_rad(packets.data[packets.wanted])
-                heads[sender.index].add(packets.device_ns[packets.wanted], heading_rad)
+                heads[sensor.index].add(packets.device_ns[packets.wanted], heading_rad)
             yield chunk
 
     begun: dict[int, list[PointCloud]] = {}

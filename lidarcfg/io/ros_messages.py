@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.clouds.cloud import PointCloud
-from lidarcfg.geometry import Array
-from lidarcfg.io.kits.frames import quaternion_xyzw
+from lidarcfg.geometry import Array, quaternion_xyzw
 from lidarcfg.packets.point_fields import PointField
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.boxes import Boxes

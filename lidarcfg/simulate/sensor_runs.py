@@ -45,7 +45,7 @@ class SimulationOptions:
 
 
 @dataclass(frozen=True)
-class Task:
+class SensorRun:
     """The simulation of one sensor."""
 
     index: int
@@ -57,7 +57,7 @@ class Task:
     chunk_ns: int
 
 
-def build_tasks(drive: Drive, chunk_ns: int) -> list[Task]:
+def sensor_runs(drive: Drive, chunk_ns: int) -> list[SensorRun]:
     """The work of each sensor; sensor i of n starts i/n of a packet after the first. Raises ConfigError."""
     mounts = [_with_range(mount) for mount in drive.rig.mounts]
     trajectory = drive.trajectory
@@ -78,7 +78,7 @@ def build_tasks(drive: Drive, chunk_ns: int) -> list[Task]:
     tracer.check_span(0, (end_ns - start_ns) / SECOND_NS)
     bodies = Tracer(drive.vehicle.scene, np.zeros(3)) if drive.vehicle else None
     return [
-        Task(i, mount, one, Simulator(i, mount, tracer, trajectory, bodies), first_ns, drive.duration_ns, chunk_ns)
+        SensorRun(i, mount, one, Simulator(i, mount, tracer, trajectory, bodies), first_ns, drive.duration_ns, chunk_ns)
         for i, (mount, one, first_ns) in enumerate(zip(mounts, timings, starts_ns, strict=True))
     ]
 
@@ -181,28 +181,28 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class TaskRunner:
-    """Runs the tasks of all sensors: their threads and their callbacks."""
+class ChunkRunner:
+    """What traces the chunks of all sensors: their threads and their callbacks."""
 
     threads: SharedThreadPool
     progress: Progress
     on_rays: OnRays
 
     @classmethod
-    def of(cls, options: SimulationOptions, sensors: int) -> "TaskRunner":
+    def of(cls, options: SimulationOptions, sensors: int) -> "ChunkRunner":
         """A runner with threads and progress shared by this many sensors."""
         threads = SharedThreadPool(options.threads or os.cpu_count() or 1)
         return cls(threads, Progress(sensors, options.on_progress), options.on_rays)
 
 
-def map_chunks(task: Task, runner: TaskRunner, make: Callable[[FiringBatch, Echoes], T]) -> Iterator[T]:
+def map_chunks(run: SensorRun, runner: ChunkRunner, make: Callable[[FiringBatch, Echoes], T]) -> Iterator[T]:
     """The results of `make` for the firings and echoes of each non-empty chunk, in the order of time, on threads."""
-    timing = task.timing
-    mount = task.mount
-    simulator = task.simulator
+    timing = run.timing
+    mount = run.mount
+    simulator = run.simulator
     pace = timing.pace(mount)
-    total = task.duration_ns // pace.period_ns
-    packets = max(min(task.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * simulator.width)), 1)
+    total = run.duration_ns // pace.period_ns
+    packets = max(min(run.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * simulator.width)), 1)
 
     def work(batch: FiringBatch, first: int) -> tuple[T, RayCounts] | None:
         if not len(batch.sent_ns):
@@ -211,7 +211,7 @@ def map_chunks(task: Task, runner: TaskRunner, make: Callable[[FiringBatch, Echo
         return make(batch, found), counts
 
     with runner.threads.pool() as pool:
-        batches = timing.schedule(mount, task.start_ns, total, packets)
+        batches = timing.schedule(mount, run.start_ns, total, packets)
         jobs = (pool.submit(work, batch, first) for batch, first in _numbered(batches))
         for number, chunk in enumerate(ordered_results(jobs, AHEAD), 1):
             if chunk:
@@ -220,7 +220,7 @@ def map_chunks(task: Task, runner: TaskRunner, make: Callable[[FiringBatch, Echo
                 del chunk  # it would stay in memory while others are waited for
                 yield made.pop()
             done_ns = number * packets * pace.period_ns
-            runner.progress.set(task.index, done_ns if number * packets < total else task.duration_ns)
+            runner.progress.set(run.index, done_ns if number * packets < total else run.duration_ns)
 
 
 def _numbered(batches: Iterable[FiringBatch]) -> Iterator[tuple[FiringBatch, int]]:

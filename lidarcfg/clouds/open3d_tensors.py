@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.clouds.rows import Column, Names, columns_of
+from lidarcfg.clouds.ply_pcd import Column, Names, columns_of
 from lidarcfg.errors import CloudError
 from lidarcfg.geometry import Array
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from lidarcfg.config.models import COORDINATE_MAX_M, NAME_MAX
 from lidarcfg.errors import ConversionError
-from lidarcfg.io.kits.frames import BASE_LINK, FrameTree, Pose, listed
+from lidarcfg.io.rig_importers.frame_tree import FrameTree, Pose, listed
+from lidarcfg.io.ros_names import BASE_LINK
 from lidarcfg.sensors.rig import MOUNT_NAME, RETURN_MODE, RPM, Mount, Rig, default_host, ports
 from lidarcfg.sensors.sensor import Sensor, catalogue, custom_sensor, load_sensor
 
@@ -70,7 +71,7 @@ class LidarFrame:
 
 
 @dataclass(frozen=True)
-class Kit:
+class SensorKit:
     """What a kit's files say."""
 
     where: str  # the file or folder
@@ -89,7 +90,7 @@ def kit_of_tree(
     hints: Mapping[str, tuple[str, ...]],
     lidars: frozenset[str] = frozenset(),
     notes: tuple[str, ...] = (),
-) -> Kit:
+) -> SensorKit:
     """The kit of a tree of frames: its sensors are found by their names.
 
     A sensor's housing and its beams often have a frame each, one above the other: the lower one counts. `models` names
@@ -119,7 +120,7 @@ def kit_of_tree(
         if tree.reaches(one, base)
     ]
     candidates = tuple(one for one in tree.frames if one != base)
-    return Kit(where, name, tuple(frames), tuple(others), candidates, notes)
+    return SensorKit(where, name, tuple(frames), tuple(others), candidates, notes)
 
 
 def _is_driver_frame(name: str, tree: FrameTree) -> bool:
@@ -135,7 +136,7 @@ def _tops(tree: FrameTree, names: tuple[str, ...]) -> str:
     return listed(tuple(dict.fromkeys(tree.above(one)[-1] if tree.above(one) else one for one in names)))
 
 
-def rig_of_kit(kit: Kit, models: Mapping[str, str], on_warning: Callable[[str], None]) -> Rig:
+def rig_of_kit(kit: SensorKit, models: Mapping[str, str], on_warning: Callable[[str], None]) -> Rig:
     """The rig of a kit's LiDARs.
 
     `models` says what they are, by frame: a model, a sensor's file, or none; under the name "" that of all others.
@@ -185,7 +186,9 @@ def rig_of_kit(kit: Kit, models: Mapping[str, str], on_warning: Callable[[str], 
     return Rig(kit.name[:NAME_MAX] or "rig", tuple(mounts))
 
 
-def _mount(kit: Kit, index: int, frame: LidarFrame, sensor: Sensor, model: str | None, names: dict[str, str]) -> Mount:
+def _mount(
+    kit: SensorKit, index: int, frame: LidarFrame, sensor: Sensor, model: str | None, names: dict[str, str]
+) -> Mount:
     """The mount of a frame, with the defaults of a rig's file; `names` gets its name."""
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", frame.name.strip("/"))[:NAME_MAX]
     name = name if re.match(MOUNT_NAME, name) else f"lidar_{name}"[:NAME_MAX]

@@ -16,8 +16,8 @@ from urdf_parser_py.urdf import URDF
 
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.io.kits.kit import guessed_model, is_lidar, is_other
-from lidarcfg.io.messages import Messages, ros_store
+from lidarcfg.io.rig_importers.sensor_kit import guessed_model, is_lidar, is_other
+from lidarcfg.io.ros_messages import Messages, ros_store
 from lidarcfg.sensors.rig import load_rig, save_rig
 from tests.io.test_convert_rig import odd_rig
 
