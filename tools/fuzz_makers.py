@@ -110,7 +110,7 @@ def seed(number: int) -> Seed | None:
     of = mount(*MADE[number])
     maker = codec(of.sensor)
     rng = np.random.default_rng(number)
-    (batch,) = maker.schedule(of, START_NS, PACKETS, PACKETS)
+    (batch,) = maker.schedule(of, START_NS, [range(PACKETS)])
     shape = len(batch.firings.time_ns), 1 + of.dual
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 45, shape), np.inf)
     returns = maker.encode(of, batch, range_m, rng.integers(0, 256, shape, np.uint8))

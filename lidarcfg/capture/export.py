@@ -84,7 +84,7 @@ def data_bytes(drive: Drive) -> int:
     for mount in drive.rig.mounts:
         maker = codec(mount.sensor)
         everywhere = replace(mount, azimuth_fov_deg=None)
-        batch = next(iter(maker.schedule(everywhere, drive.start_ns, 1, 1)))
+        batch = next(iter(maker.schedule(everywhere, drive.start_ns, [range(1)])))
         shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
         packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)

@@ -22,7 +22,7 @@ from lidarcfg.requirements.braking import EMERGENCY, Braking
 from lidarcfg.requirements.scenario_file import TARGET, Scenario
 from lidarcfg.requirements.sight import Bounds, LineOfSight, earliest_sight, places_within
 from lidarcfg.returns.counts import LOW_M
-from lidarcfg.sensors.firing import Firings, joined
+from lidarcfg.sensors.firing import Firings, joined, spans
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import firing_ends
@@ -116,7 +116,7 @@ def _frames(task: Task, frame_ns: int, count: int) -> Iterator[_Frame]:
     packets = count * frame_ns // period_ns + 2
     waiting: list[tuple[Counts, Firings]] = []  # batches, with the frame of each firing
     frame = 0
-    for batch in task.timing.schedule(task.mount, task.start_ns, packets, max(frame_ns // period_ns, 1)):
+    for batch in task.timing.schedule(task.mount, task.start_ns, spans(packets, max(frame_ns // period_ns, 1))):
         if not len(batch.firings.time_ns):
             continue
         numbers = (batch.firings.time_ns - START_NS) // frame_ns

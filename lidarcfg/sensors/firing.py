@@ -5,7 +5,7 @@ each maker is a `Timing`; `schedule` has those of sensors that fire in sequences
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -55,6 +55,11 @@ class Firings:
     def __getitem__(self, rows: slice | np.ndarray) -> "Firings":
         elevation_rad = self.elevation_rad[rows] if len(self.elevation_rad) else NO_ELEVATIONS
         return Firings(self.time_ns[rows], self.laser[rows], self.encoder_rad[rows], elevation_rad)
+
+
+def spans(packets: int, chunk: int) -> list[range]:
+    """The numbers of this many packets, `chunk` at a time."""
+    return [range(first, min(first + chunk, packets)) for first in range(0, packets, chunk)]
 
 
 def joined(parts: Sequence[Firings]) -> Firings:
@@ -191,8 +196,11 @@ class Timing(Protocol):
     def pace(self, mount: Mount) -> PacketPace:
         """The packet rate and size of the mount."""
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        """The firings in the time of this many packets, `chunk` packets at a time; fewer in a narrow field of view."""
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        """The firings in the time of successive packets: a batch for each span of their numbers, from 0 on.
+
+        In a narrow field of view a batch has fewer packets.
+        """
 
     def pattern(self, mount: Mount) -> Pattern | FramePattern:
         """Where the mount's lasers fire in a revolution, or in a frame: as in `schedule`, for any start."""

@@ -146,7 +146,7 @@ class _RevolutionCounter:
         mount = task.mount
         begin_rad = math.radians(mount.azimuth_fov_deg[0]) if mount.azimuth_fov_deg else 0.0
         everywhere = replace(mount, azimuth_fov_deg=None)
-        first = next(iter(task.timing.schedule(everywhere, task.start_ns, 1, 1))).firings
+        first = next(iter(task.timing.schedule(everywhere, task.start_ns, [range(1)]))).firings
         ahead = (first.encoder_rad[0] - begin_rad) % (2 * math.pi) / (2 * math.pi)
         return cls(mount.rpm / MINUTE_NS, int(first.time_ns[0]), float(ahead), begin_rad)
 

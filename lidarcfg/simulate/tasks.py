@@ -14,7 +14,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import Array
 from lidarcfg.packets.families import timing
-from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Timing
+from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Timing, spans
 from lidarcfg.sensors.pattern_timing import in_view
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Range
@@ -211,7 +211,7 @@ def map_chunks(task: Task, runner: TaskRunner, make: Callable[[FiringBatch, Echo
         return make(batch, found), counts
 
     with runner.threads.pool() as pool:
-        batches = timing.schedule(mount, task.start_ns, total, packets)
+        batches = timing.schedule(mount, task.start_ns, spans(total, packets))
         jobs = (pool.submit(work, batch, first) for batch, first in _numbered(batches))
         for number, chunk in enumerate(ordered_results(jobs, AHEAD), 1):
             if chunk:

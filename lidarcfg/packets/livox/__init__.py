@@ -5,7 +5,7 @@ To read in this order: `layout` has the bytes, `model` what differs between mode
 `emulator` what it answers. `Livox` is the codec that the rest of the package uses.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,8 +55,8 @@ class Livox(PatternTiming, Codec):
     def pace(self, mount: Mount) -> PacketPace:
         return self.unit.pace
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        return batches(self.unit, start_ns, packets, chunk)
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        return batches(self.unit, start_ns, spans)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """Out of the field of view points are zeros."""

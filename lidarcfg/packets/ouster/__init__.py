@@ -6,7 +6,7 @@ is the codec that the rest of the package uses.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,8 +47,8 @@ class Ouster(Codec):
         mode = self._mode(mount)
         return PacketPace(mode.period_ns, mode.layout.columns_per_packet * mode.layout.pixels)
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        return batches(self._mode(mount), start_ns, packets, chunk, mount.phase_deg)
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        return batches(self._mode(mount), start_ns, spans, mount.phase_deg)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         mode = self._mode(mount)

@@ -107,7 +107,7 @@ def test_the_twin_reads_single_returns(tmp_path, sensor, install_mode):
 def test_dual_returns_stand_in_pairs_of_blocks(sensor):
     """A column of the first returns, and then one of the second; of equal ones the first is decoded."""
     mounted = mount("airy", sensor=sensor, return_mode="dual")
-    (batch,) = codec(sensor).schedule(mounted, 0, 3, 3)
+    (batch,) = codec(sensor).schedule(mounted, 0, [range(3)])
     rng = np.random.default_rng(1)
     units = rng.integers(20, 12_000, (len(batch.firings.laser), 2))
     intensity = rng.integers(0, 256, units.shape, np.uint8)
