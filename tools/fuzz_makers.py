@@ -114,7 +114,7 @@ def seed(number: int) -> Seed | None:
     shape = len(batch.firings.time_ns), 1 + of.dual
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 45, shape), np.inf)
     returns = maker.encode(of, batch, range_m, rng.integers(0, 256, shape, np.uint8))
-    besides = maker.housekeeping(of, Trajectory.static(np.eye(4)), GeoOrigin(), START_NS, SECOND_NS // 10)
+    besides = maker.housekeeping(of, Trajectory.static(np.eye(4)), GeoOrigin(), START_NS, range(SECOND_NS // 10))
     return Seed(of.model, (*besides, returns), of.host, dict(maker.sidecar_files(of)))
 
 

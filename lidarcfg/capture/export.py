@@ -15,14 +15,15 @@ from lidarcfg.geometry import Array
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch
 from lidarcfg.sensors.rig import Mount, Rig
-from lidarcfg.simulate.drive import Drive
+from lidarcfg.simulate.drive import checked_timing
 from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.simulate.tasks import (
     SimulationOptions,
     Task,
     TaskRunner,
     build_tasks,
-    checked_timing,
+    check_duration,
     fired_fraction,
     map_chunks,
 )
@@ -56,7 +57,7 @@ def simulated_frames(
     options = options or SimulationOptions()
     trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
     _check_all(rig.mounts, duration_ns)
-    tasks = build_tasks(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
+    tasks = build_tasks(SceneDrive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
     runner = TaskRunner.of(options, len(tasks))
     origin = scene.file.geo_origin
     return [
@@ -77,7 +78,7 @@ def save_sidecar_files(path: Path, mounts: Sequence[Mount]) -> list[Path]:
     return written
 
 
-def data_bytes(drive: Drive) -> int:
+def data_bytes(drive: SceneDrive) -> int:
     """About how many bytes of a capture the sensors' data packets take, as Ethernet frames. Raises ConfigError."""
     _check_all(drive.rig.mounts, drive.duration_ns)
     total = 0.0
@@ -116,7 +117,7 @@ def check_exportable(mount: Mount, duration_ns: int) -> None:
     for key in ("range",) if sensor.scan_pattern else ("rotation", "range"):
         if getattr(sensor, key) is None:
             raise ConfigError(f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts")
-    checked_timing(mount, duration_ns)
+    check_duration(mount, checked_timing(mount), duration_ns)
 
 
 def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
@@ -178,6 +179,6 @@ def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> It
 def _housekeeping_stream(task: Task, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[Frames]:
     """The sensor's other packets."""
     mount = task.mount
-    payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, task.start_ns, task.duration_ns)
+    payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, task.start_ns, range(task.duration_ns))
     for some in payloads:
         yield frames(mount.host, some)

@@ -28,7 +28,7 @@ from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import NO_VEHICLE, Rig, load_rig, rig_text
 from lidarcfg.sensors.sensor import catalogue
-from lidarcfg.simulate.drive import Drive
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, files_of
@@ -60,7 +60,7 @@ class ManifestInputs:
     values: dict[str, Any]  # the other keys of `CaptureManifest`
 
     @classmethod
-    def of(cls, drive: Drive, output: Path, given: DriveInputs) -> "ManifestInputs":
+    def of(cls, drive: SceneDrive, output: Path, given: DriveInputs) -> "ManifestInputs":
         """The inputs of a drive, some of which were given so."""
         at = drive.trajectory.T_world_start
         moved = None
@@ -93,7 +93,7 @@ class ManifestInputs:
         own = [manifest_path(output), *(output.with_name(output.name + suffix) for suffix in SIDECAR_SUFFIXES)]
         return [path for path in own if os.path.realpath(path) not in kept]
 
-    def save(self, output: Path, drive: Drive, on_warning: Callable[[str], None]) -> list[Path]:
+    def save(self, output: Path, drive: SceneDrive, on_warning: Callable[[str], None]) -> list[Path]:
         """Write the manifest and the files beside it, or warn of what is missing; return what was written."""
         manifest = manifest_path(output)
         if self._obstacle:
@@ -112,7 +112,7 @@ class ManifestInputs:
             return "sensors of the rig are in no file"
         return None if self.values["at"] else "the vehicle's pose is not rigid"
 
-    def _write(self, capture: Path, drive: Drive) -> None:
+    def _write(self, capture: Path, drive: SceneDrive) -> None:
         """Write the manifest beside a capture. It also names the files that the inputs name, as the drive has them."""
         scene_file = self.files["scene"]
         named = {"rig": _sensor_files(drive.rig)}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lidarcfg.sensors.rig import ReturnMode, Rig
-    from lidarcfg.simulate.drive import Drive
+    from lidarcfg.simulate.scene_drive import SceneDrive
     from lidarcfg.simulate.simulator import RayCounts
     from lidarcfg.simulate.tasks import SimulationOptions
 
@@ -198,7 +198,7 @@ def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator
 
 
 def _export_packets(
-    drive: "Drive",
+    drive: "SceneDrive",
     paths: list[Path],
     split: bool,
     truth: Path | None,
@@ -213,7 +213,7 @@ def _export_packets(
     from lidarcfg.capture.ground_truth import TruthFile
     from lidarcfg.capture.pcap import write_pcap
     from lidarcfg.inputs import check_room, format_bytes
-    from lidarcfg.simulate.drive import object_names
+    from lidarcfg.simulate.scene_drive import object_names
 
     if truth and truth.suffix != ".npz":
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
@@ -251,7 +251,13 @@ def _export_packets(
 
 
 def _export_points(
-    drive: "Drive", output: Path, name: str | None, deskew: bool, save_manifest: "OnPath", rays: "Rays", quiet: bool
+    drive: "SceneDrive",
+    output: Path,
+    name: str | None,
+    deskew: bool,
+    save_manifest: "OnPath",
+    rays: "Rays",
+    quiet: bool,
 ) -> list[str]:
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.clouds.cloud import row_bytes

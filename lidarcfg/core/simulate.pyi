@@ -85,6 +85,17 @@ class Echoes(Protocol):
     @property
     def object(self) -> NDArray[np.int32]: ...
 
+class Axes(Protocol):
+    """The axes of beams in the world, (N, 3), to be written."""
+
+    @property
+    def origins_m(self) -> Array: ...
+    @property
+    def directions(self) -> Array: ...
+
+def aim_firings(lasers: Lasers, mounting: Mounting, firings: Firings, axes: Axes) -> None:
+    """Write where the beams of firings start and point; a beam has one ray."""
+
 def merge_echoes(
     rays: SubRays,
     weights: Array,

@@ -24,8 +24,8 @@ from lidarcfg.requirements.sight import Bounds, LineOfSight, earliest_sight, pla
 from lidarcfg.returns.counts import LOW_M
 from lidarcfg.sensors.firing import Firings, joined, spans
 from lidarcfg.sensors.rig import Mount, Rig
-from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import firing_ends
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.simulate.tasks import CHUNK_NS, Task, build_tasks
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.vehicle import Vehicle
@@ -70,11 +70,11 @@ class TargetReturns:
         return counts
 
 
-def drive_of(approach: Approach, mounts: Sequence[Mount], vehicle: Vehicle | None) -> Drive:
+def drive_of(approach: Approach, mounts: Sequence[Mount], vehicle: Vehicle | None) -> SceneDrive:
     """The run as `export` has it, from its start to the impact."""
     rig = Rig("rig", tuple(mounts))
     duration_ns = round(approach.lead_s * SECOND_NS)
-    return Drive(rig, approach.scene, approach.trajectory(START_NS), vehicle, START_NS, duration_ns)
+    return SceneDrive(rig, approach.scene, approach.trajectory(START_NS), vehicle, START_NS, duration_ns)
 
 
 def fire(

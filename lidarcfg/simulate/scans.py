@@ -19,8 +19,8 @@ from lidarcfg.packets.families import timing
 from lidarcfg.sensors.firing import NO_ELEVATIONS, RETURN_TYPES, FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.drive import Drive, object_names
 from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.scene_drive import SceneDrive, object_names
 from lidarcfg.simulate.tasks import (
     CHUNK_RAYS,
     SimulationOptions,
@@ -38,7 +38,7 @@ SECOND_STRONGEST = 2  # another
 STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the other may be the strongest instead
 
 
-def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> Iterator[PointCloud]:
+def simulated_scans(drive: SceneDrive, options: SimulationOptions | None = None) -> Iterator[PointCloud]:
     """The points of each sensor's revolutions in its own frame, in the order in which they end.
 
     A revolution begins where the head passes azimuth 0, or the start of a narrower field of view; of a scan pattern
@@ -54,7 +54,7 @@ def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> I
     return heapq.merge(*streams, key=lambda scan: int(scan.time_ns[-1]))
 
 
-def most_returns(drive: Drive) -> int:
+def most_returns(drive: SceneDrive) -> int:
     """The number of points in a drive if each ray returns. Raises ConfigError."""
     rates = [most_returns_per_ns(mount, timing(mount.sensor).pace(mount)) for mount in drive.rig.mounts]
     return round(sum(rates) * drive.duration_ns)

@@ -61,6 +61,11 @@ struct Fields<Hits> {
 };
 
 template <>
+struct Fields<Axes> {
+  static constexpr auto members = fields(field("origins_m", &Axes::origins_m), field("directions", &Axes::directions));
+};
+
+template <>
 struct From<world::Pose> {  // from a homogeneous matrix (4, 4)
   static world::Pose python(nb::handle object, Held& held, const Name& name) {
     const auto T = From<Rows<const double>>::python(object, held, name);
@@ -138,6 +143,18 @@ void require_firings(const Firings& firings, const Lasers& lasers) {
 }
 
 void bind_trace(nb::module_& module) {
+  def(
+      module, "aim_firings",
+      [](const Lasers& lasers, const Mounting& mounting, const Firings& firings, const Axes& axes) {
+        require_lasers(lasers);
+        require(lasers.across.size() == thin, "lasers.across: one");
+        require_firings(firings, lasers);
+        const Index count = std::ssize(firings.time_ns);
+        require(is_shape(axes.origins_m, count, 3), "axes.origins_m: three for each firing");
+        require(is_shape(axes.directions, count, 3), "axes.directions: three for each firing");
+        aim_firings(lasers, mounting, firings, axes);
+      },
+      "Write where the beams of firings start and point.", "lasers", "mounting", "firings", "axes");
   def(
       module, "trace_firings",
       [](const world::World& world, const world::Bvh& bodies, const Surfaces& surfaces, const Lasers& lasers,

@@ -195,4 +195,21 @@ void Aim<Width>::place(const Poses& poses, Rays<Width>& rays) const {
 template class Aim<thin>;
 template class Aim<wide>;
 
+void aim_firings(const Lasers& lasers, const Mounting& mounting, const Firings& firings, const Axes& axes) {
+  const Batches batches = divide(firings, most_beams, 0);
+  Aim<thin> aim(lasers, mounting);
+  Rays<thin> rays;
+  for (Index b = 0; b < batches.count(); ++b) {
+    const View<const Index> which = batches[b];
+    aim.set(firings, which, firings.laser[which[0]]);
+    aim.in_world(rays);
+    for (int axis = 0; axis < 3; ++axis) {
+      for (Index n = 0; n < std::ssize(which); ++n) {
+        axes.origins_m(which[n], axis) = rays.origins[axis][n];
+        axes.directions(which[n], axis) = rays.directions[axis][n];
+      }
+    }
+  }
+}
+
 }  // namespace lidarcfg::simulate

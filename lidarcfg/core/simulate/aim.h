@@ -100,4 +100,13 @@ class Aim {
 extern template class Aim<thin>;
 extern template class Aim<wide>;
 
+/// The axes of N beams in the world, to be written.
+struct Axes {
+  Rows<double> origins_m;   // (N, 3)
+  Rows<double> directions;  // (N, 3) unit vectors
+};
+
+/// Find where the beams of firings start and point. The lasers are `thin`.
+void aim_firings(const Lasers& lasers, const Mounting& mounting, const Firings& firings, const Axes& axes);
+
 }  // namespace lidarcfg::simulate

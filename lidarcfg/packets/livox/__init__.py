@@ -78,12 +78,12 @@ class Livox(PatternTiming, Codec):
         return np.full(range_m.shape, STRONGEST, np.uint8)
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         """Inertial measurements."""
         imu = self.unit.facts.imu
         if imu and settings(mount).imu:
-            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
+            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, due_ns)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

@@ -67,14 +67,14 @@ class Ouster(Codec):
         return encode.return_types(self.unit, range_m, reflectivity)
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         """Inertial measurements."""
         mode = self._mode(mount)
         if mode.settings.imu:
             legacy = mode.settings.imu_profile == "LEGACY"
             payloads = telemetry.legacy_imu_payloads if legacy else telemetry.framed_imu_payloads
-            yield from payloads(self.unit, mode, mount, trajectory, start_ns, duration_ns)
+            yield from payloads(self.unit, mode, mount, trajectory, start_ns, due_ns)
 
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The metadata."""

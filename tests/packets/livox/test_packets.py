@@ -93,7 +93,7 @@ def test_a_point_by_hand():
 def test_inertial_packets():
     of = mount()
     turning = Trajectory.static(np.eye(4))
-    (payloads,) = codec(of.sensor).housekeeping(of, turning, None, START_NS, 50_000_000)
+    (payloads,) = codec(of.sensor).housekeeping(of, turning, None, START_NS, range(50_000_000))
     assert (payloads.port, len(payloads.data), payloads.data.shape[1]) == (56401, 10, 60)
     for number, payload in enumerate(payloads.data):
         assert naive.checks(payload.tobytes())
