@@ -27,7 +27,7 @@ from lidarcfg.simulate.tasks import (
     fired_fraction,
     map_chunks,
 )
-from lidarcfg.units import START_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
@@ -177,8 +177,9 @@ def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> It
 
 
 def _housekeeping_stream(task: Task, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[Frames]:
-    """The sensor's other packets."""
-    mount = task.mount
-    payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, task.start_ns, range(task.duration_ns))
-    for some in payloads:
-        yield frames(mount.host, some)
+    """The sensor's other packets, a second at a time."""
+    maker = codec(task.mount.sensor)
+    for begin_ns in range(0, task.duration_ns, SECOND_NS):
+        due_ns = range(begin_ns, min(begin_ns + SECOND_NS, task.duration_ns))
+        kinds = maker.housekeeping(task.mount, trajectory, origin, task.start_ns, due_ns)
+        yield from in_time_order([iter([frames(task.mount.host, some)]) for some in kinds if len(some.time_ns)])

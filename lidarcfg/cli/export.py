@@ -144,7 +144,7 @@ def export(
         check_replaceable(manifest_path(path))
 
     def save(path: Path) -> None:
-        ManifestInputs.of(drive, path, given).save(path, drive, warn)
+        ManifestInputs.of(drive, path, given).save(path, warn)
 
     if output.suffix == ".pcap" and name is None:
         if deskew:

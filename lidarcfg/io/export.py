@@ -73,7 +73,7 @@ def export(
         written = formats.Amount(write_pcap(output, in_time_order(streams)), "frames")
         companions = save_sidecar_files(output, drive.rig.mounts)
     remove_outdated(inputs.outdated(output))
-    beside = *companions, *inputs.save(output, drive, on_warning)
+    beside = *companions, *inputs.save(output, on_warning)
     return Exported((output, *beside), written.count, written.what)
 
 

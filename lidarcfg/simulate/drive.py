@@ -23,8 +23,10 @@ from lidarcfg.sensors.rig import Mount, Rig, load_rig
 from lidarcfg.sensors.sensor import Range
 from lidarcfg.simulate.aim import aim
 from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
+from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory, load_path
 
+ANYWHERE = GeoOrigin()
 STEP_S = 0.1
 SKIPPED = 4096  # packets that are left out at a time
 
@@ -118,6 +120,7 @@ class Drive:
 
     `rig` is a file, a dict with its keys or a `Rig`; `at` is T_world_vehicle (4, 4), by default the origin;
     `trajectory` a file of the motion from there, or a `Trajectory`. The clock begins at `start_ns`.
+    `origin` is the world's on Earth, for sensors that report where they are.
     """
 
     def __init__(
@@ -127,6 +130,7 @@ class Drive:
         *,
         at: Array | None = None,
         start_ns: int = START_NS,
+        origin: GeoOrigin = ANYWHERE,
     ) -> None:
         self.rig = loaded(rig, load_rig, Rig)
         if not isinstance(trajectory, Trajectory):
@@ -135,6 +139,7 @@ class Drive:
             raise LidarcfgError("at is given beside a trajectory that says where it starts; allowed: one of them")
         self.trajectory = trajectory
         self.start_ns = start_ns
+        self.origin = origin
         self.sensors = tuple(timelines(self.rig, start_ns))
 
     def firings(
