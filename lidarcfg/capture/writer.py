@@ -200,8 +200,8 @@ def _returns(rays: RayBatch, ranges_m: Any, intensity: Any) -> tuple[Array, Byte
         raise LidarcfgError(f"ranges_m is of shape {range_m.shape}; allowed: ({count},), ({count}, 1) and ({count}, 2)")
     if bright.shape != range_m.shape:
         raise LidarcfgError(f"intensity is of shape {bright.shape}, not of that of ranges_m, {range_m.shape}")
-    range_m = range_m.reshape(count, -1)
-    bright = bright.reshape(count, -1)
+    if range_m.ndim == 1:
+        range_m, bright = range_m[:, None], bright[:, None]
     there = np.isfinite(range_m)
     wrong = there & (range_m < 0)
     if wrong.any():
@@ -218,7 +218,8 @@ def _returns(rays: RayBatch, ranges_m: Any, intensity: Any) -> tuple[Array, Byte
 def _array(name: str, given: Any) -> np.ndarray[Any, Any]:
     """An array of numbers. Raises LidarcfgError."""
     try:
-        made = np.from_dlpack(given) if hasattr(given, "__dlpack__") else np.asarray(given)
+        exported = hasattr(given, "__dlpack__") and not isinstance(given, np.ndarray)
+        made = np.from_dlpack(given) if exported else np.asarray(given)
         if made.dtype.kind not in "fiu":
             raise TypeError(f"its numbers are {made.dtype}")
     except (TypeError, ValueError, BufferError, RuntimeError) as error:

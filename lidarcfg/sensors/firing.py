@@ -78,11 +78,7 @@ class FiringBatch:
     number: Times  # (P,) as the maker counts packets
     sent_ns: Times  # (P,) host time at which each leaves
     loop: Times | None = None  # (P, G) in which of its loops each group of lasers fired, where a sensor has several
-
-    @property
-    def first(self) -> int:
-        """The number of its first packet; 0 without any."""
-        return int(self.number[0]) if len(self.number) else 0
+    first: int = 0  # the number of its first packet among those sent
 
 
 @dataclass(frozen=True)

@@ -161,5 +161,5 @@ def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, spans: Iterab
             rest = fired[full:]
             fired = fired[:full]
         _, ends_ns = schedule.stamps_ns(fired)
-        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000)
+        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000, first=sent)
         sent += len(ends_ns)

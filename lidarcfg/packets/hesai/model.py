@@ -297,7 +297,7 @@ def batches(unit: Unit, mount: Mount, start_ns: int, spans: Iterable[range]) -> 
             fired = Firings(fired.time_ns[rows], fired.laser[rows], fired.encoder_rad[rows])
             loop = loop[some]
             ends_ns = ends_ns[some]
-        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000, loop)
+        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000, loop, sent)
         sent += len(ends_ns)
 
 

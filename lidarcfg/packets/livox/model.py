@@ -108,4 +108,4 @@ def batches(unit: Unit, start_ns: int, spans: Iterable[range]) -> Iterator[Firin
         ends_ns, _ = pattern.walk(first * points + points, end * points + 1)
         sent_ns = start_ns + ends_ns[::points]
         fired = firings(pattern, start_ns, first * points, end * points)
-        yield FiringBatch(fired, np.arange(first, end), (sent_ns + 500) // 1000 * 1000)
+        yield FiringBatch(fired, np.arange(first, end), (sent_ns + 500) // 1000 * 1000, first=first)

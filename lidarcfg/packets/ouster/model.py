@@ -204,6 +204,7 @@ def batches(mode: Mode, start_ns: int, spans: Iterable[range], phase_deg: float 
     revolution.
     """
     zero_ns, first = phase(mode, start_ns, phase_deg)
+    sent = 0  # as IP counts them: from the first one's number on
     for span in spans:
         begin_ns, end_ns = (start_ns + at * mode.period_ns for at in (span.start, span.stop))
         number = np.arange(first + max(span.start - 1, 0), first + span.stop)
@@ -212,7 +213,9 @@ def batches(mode: Mode, start_ns: int, spans: Iterable[range], phase_deg: float 
         within = (done_ns > begin_ns) & (done_ns <= end_ns)  # with a phase lock packets are complete a little later
         number, done_ns = number[within], done_ns[within]
         time_ns = column_times_ns(mode, zero_ns, number)
-        yield FiringBatch(_firings(mode, number, time_ns), number, (done_ns + 500) // 1000 * 1000)
+        sent = sent or int(number[:1].sum())
+        yield FiringBatch(_firings(mode, number, time_ns), number, (done_ns + 500) // 1000 * 1000, first=sent)
+        sent += len(number)
 
 
 def measurements(mode: Mode, number: Times) -> Times:
