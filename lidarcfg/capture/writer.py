@@ -112,15 +112,12 @@ class Writer:
         for one in rays.packets:
             rows = slice(row, row := row + len(one.batch.firings.time_ns))
             self._check_order(one)
-            found = self._echoes(one, range_m[rows], bright[rows])
-            seen_m = found.range_m + found.noise_m
+            seen_m, seen = self._reported(one, range_m[rows], bright[rows])
             if self._packets and len(one.batch.sent_ns):
-                payloads = self._codecs[one.sensor.index].encode(
-                    one.sensor.mount, one.batch, seen_m, found.reflectivity
-                )
+                payloads = self._codecs[one.sensor.index].encode(one.sensor.mount, one.batch, seen_m, seen)
                 sent.append(Sent(2 * one.sensor.index, one.sensor.mount, payloads))
             if self._points:
-                cloud = _points(self._drive.rig.mounts, one, rays, rows, seen_m, found.reflectivity)
+                cloud = _points(self._drive.rig.mounts, one, rays, rows, seen_m, seen)
                 for output in self._outputs:
                     output.draw(cloud)
         begin_ns, end_ns = (round(at_s * SECOND_NS) for at_s in (rays.start_s, rays.end_s))
@@ -144,34 +141,33 @@ class Writer:
             raise LidarcfgError("the rays do not follow those before; write each batch of the drive once, in its order")
         self._written[index] = one.first + len(one.batch.firings.time_ns)
 
-    def _echoes(self, one: FiredPackets, range_m: Array, intensity: Bytes) -> Echoes:
-        """What a sensor reports of returns (N, R), which its mode may have fewer or more of."""
+    def _reported(self, one: FiredPackets, range_m: Array, intensity: Bytes) -> tuple[Array, Bytes]:
+        """Ranges and intensities of returns (N, R) as a sensor's mode has them, which may be fewer or more."""
         mount = one.sensor.mount
         count = len(RETURN_TYPES[mount.return_mode])
         if np.isfinite(range_m[:, count:]).any():
             what = f"{range_m.shape[1]} returns of a ray of {mount.name}"
             raise LidarcfgError(f"{what}; allowed: {count}, as its return mode is {mount.return_mode}")
+        range_m, intensity = range_m[:, :count], intensity[:, :count]
         if range_m.shape[1] < count:
-            range_m, intensity = np.repeat(range_m, count, axis=1), np.repeat(intensity, count, axis=1)
-        else:
-            range_m, intensity = range_m[:, :count].copy(), intensity[:, :count].copy()
-        if count == 2:  # a ray with one return has it twice
-            for at in (0, 1):
-                alone = ~np.isfinite(range_m[:, at])
-                range_m[alone, at] = range_m[alone, 1 - at]
-                intensity[alone, at] = intensity[alone, 1 - at]
-        brightest = np.argmax(intensity, axis=1)
-        found = Echoes(
-            range_m=range_m,
-            noise_m=np.zeros(range_m.shape),
-            reflectivity=intensity,
-            object=np.full(range_m.shape, -1, np.int32),
-            strongest_m=range_m[np.arange(len(range_m)), brightest],
-        )
+            shape = len(range_m), count
+            range_m, intensity = np.broadcast_to(range_m, shape), np.broadcast_to(intensity, shape)
+        elif count == 2:  # a ray with one return has it twice
+            alone = ~np.isfinite(range_m[:, ::-1])
+            range_m = np.where(alone, range_m, range_m[:, ::-1])[:, ::-1]
+            intensity = np.where(alone, intensity, intensity[:, ::-1])[:, ::-1]
         errors = self._errors[one.sensor.index]
-        if errors:
-            errors.add(found, one.batch.firings.laser, one.first)
-        return found
+        if errors is None:
+            return range_m, intensity
+        found = Echoes(
+            range_m=np.array(range_m),
+            noise_m=np.zeros(range_m.shape),
+            reflectivity=np.array(intensity),
+            object=np.empty(range_m.shape, np.int32),
+            strongest_m=range_m[np.arange(len(range_m)), np.argmax(intensity, axis=1)],
+        )
+        errors.add(found, one.batch.firings.laser, one.first)
+        return found.range_m + found.noise_m, found.reflectivity
 
     def _housekeeping(self, due_ns: range) -> Iterator[Sent]:
         """The other packets of all sensors."""
@@ -194,7 +190,7 @@ def _errors(sensor: SensorTimeline, noise: bool, on_warning: Callable[[str], Non
 def _returns(rays: RayBatch, ranges_m: Any, intensity: Any) -> tuple[Array, Bytes]:
     """Ranges (N, R), inf where there is none, and intensities (N, R). Raises LidarcfgError."""
     count = len(rays.time_ns)
-    range_m = _array("ranges_m", ranges_m).astype(np.float64)
+    range_m = _array("ranges_m", ranges_m).astype(np.float64, copy=False)
     bright = _array("intensity", intensity)
     if range_m.shape[:1] != (count,) or range_m.ndim > 2 or (range_m.ndim == 2 and not 1 <= range_m.shape[1] <= 2):
         raise LidarcfgError(f"ranges_m is of shape {range_m.shape}; allowed: ({count},), ({count}, 1) and ({count}, 2)")
@@ -202,17 +198,17 @@ def _returns(rays: RayBatch, ranges_m: Any, intensity: Any) -> tuple[Array, Byte
         raise LidarcfgError(f"intensity is of shape {bright.shape}, not of that of ranges_m, {range_m.shape}")
     if range_m.ndim == 1:
         range_m, bright = range_m[:, None], bright[:, None]
-    there = np.isfinite(range_m)
-    wrong = there & (range_m < 0)
+    wrong = range_m < 0
     if wrong.any():
         raise LidarcfgError(f"ranges_m has {range_m[wrong][0]:g} for ray {np.nonzero(wrong)[0][0]}; allowed: from 0 on")
     if bright.dtype != np.uint8:
+        there = np.isfinite(range_m)
         wrong = there & ~((bright >= 0) & (bright <= 255))
         if wrong.any():
             where = np.nonzero(wrong)[0][0]
             raise LidarcfgError(f"intensity has {bright[wrong][0]:g} for ray {where}; allowed: 0 to 255")
         bright = np.rint(np.where(there, bright, 0)).astype(np.uint8)
-    return np.where(there, range_m, np.inf), bright
+    return np.fmin(range_m, np.inf), bright  # inf for NaN
 
 
 def _array(name: str, given: Any) -> np.ndarray[Any, Any]:
