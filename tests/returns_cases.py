@@ -49,7 +49,7 @@ def revolution(one, phase, phases):
 
     def scheduled(phase_deg):
         at = replace(one, azimuth_fov_deg=None, phase_deg=phase_deg)
-        return next(how.schedule(at, start_ns, packets, packets)).firings
+        return next(how.schedule(at, start_ns, [range(packets)])).firings
 
     first_rad = 0.0
     if fired.start_rad is None:  # the first laser to fire is at the phase, not where the packet's stamp is

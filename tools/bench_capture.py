@@ -26,7 +26,7 @@ from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.geometry import Array, directions, pose, transform
 from lidarcfg.packets.families import codec
-from lidarcfg.sensors.firing import Firings
+from lidarcfg.sensors.firing import Firings, spans
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
 from lidarcfg.simulate.sensor_runs import CHUNK_RAYS
@@ -86,7 +86,7 @@ def rays_of(mount: Mount, duration_ns: int) -> Iterator[tuple[Firings, Array, Ar
     sensor = mount.sensor
     T = mount.T_vehicle_sensor
     pace = maker.pace(mount)
-    for batch in maker.schedule(mount, START_NS, duration_ns // pace.period_ns, CHUNK_RAYS // pace.firings):
+    for batch in maker.schedule(mount, START_NS, spans(duration_ns // pace.period_ns, CHUNK_RAYS // pace.firings)):
         fired = batch.firings
         azimuth_rad = fired.encoder_rad + sensor.azimuth_offset_rad[fired.laser]
         axes = directions(azimuth_rad, sensor.elevation_rad[fired.laser])
@@ -192,7 +192,7 @@ def bare(rig: Rig, scene: Scene, duration_ns: int) -> tuple[Callable[[], None], 
 def encoding(mount: Mount, packets: int, path: Path) -> tuple[Callable[[], None], int]:
     """What encodes and writes so many packets, all of whose returns are there; and how many returns."""
     maker = codec(mount.sensor)
-    (batch,) = maker.schedule(mount, START_NS, packets, packets)
+    (batch,) = maker.schedule(mount, START_NS, [range(packets)])
     range_m = np.random.default_rng(1).uniform(1, 99, (len(batch.firings.time_ns), 1))
     reflectivity = np.full(range_m.shape, 9, np.uint8)
 

@@ -110,11 +110,11 @@ def seed(number: int) -> Seed | None:
     of = mount(*MADE[number])
     maker = codec(of.sensor)
     rng = np.random.default_rng(number)
-    (batch,) = maker.schedule(of, START_NS, PACKETS, PACKETS)
+    (batch,) = maker.schedule(of, START_NS, [range(PACKETS)])
     shape = len(batch.firings.time_ns), 1 + of.dual
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 45, shape), np.inf)
     returns = maker.encode(of, batch, range_m, rng.integers(0, 256, shape, np.uint8))
-    besides = maker.housekeeping(of, Trajectory.static(np.eye(4)), GeoOrigin(), START_NS, SECOND_NS // 10)
+    besides = maker.housekeeping(of, Trajectory.static(np.eye(4)), GeoOrigin(), START_NS, range(SECOND_NS // 10))
     return Seed(of.model, (*besides, returns), of.host, dict(maker.sidecar_files(of)))
 
 

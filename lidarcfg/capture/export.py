@@ -15,18 +15,19 @@ from lidarcfg.geometry import Array
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch
 from lidarcfg.sensors.rig import Mount, Rig
-from lidarcfg.simulate.drive import Drive
+from lidarcfg.simulate.drive import checked_timing
 from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.simulate.sensor_runs import (
     ChunkRunner,
     SensorRun,
     SimulationOptions,
-    checked_timing,
+    check_duration,
     fired_fraction,
     map_chunks,
     sensor_runs,
 )
-from lidarcfg.units import START_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
@@ -56,7 +57,7 @@ def simulated_packets(
     options = options or SimulationOptions()
     trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
     _check_all(rig.mounts, duration_ns)
-    runs = sensor_runs(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
+    runs = sensor_runs(SceneDrive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
     runner = ChunkRunner.of(options, len(runs))
     origin = scene.file.geo_origin
     return [
@@ -77,14 +78,14 @@ def save_sidecar_files(path: Path, mounts: Sequence[Mount]) -> list[Path]:
     return written
 
 
-def data_bytes(drive: Drive) -> int:
+def data_bytes(drive: SceneDrive) -> int:
     """About how many bytes of a capture the sensors' data packets take, as Ethernet frames. Raises ConfigError."""
     _check_all(drive.rig.mounts, drive.duration_ns)
     total = 0.0
     for mount in drive.rig.mounts:
         maker = codec(mount.sensor)
         everywhere = replace(mount, azimuth_fov_deg=None)
-        batch = next(iter(maker.schedule(everywhere, drive.start_ns, 1, 1)))
+        batch = next(iter(maker.schedule(everywhere, drive.start_ns, [range(1)])))
         shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
         packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
@@ -116,7 +117,7 @@ def check_exportable(mount: Mount, duration_ns: int) -> None:
     for key in ("range",) if sensor.scan_pattern else ("rotation", "range"):
         if getattr(sensor, key) is None:
             raise ConfigError(f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts")
-    checked_timing(mount, duration_ns)
+    check_duration(mount, checked_timing(mount), duration_ns)
 
 
 def in_time_order(streams: Iterable[Iterator[EthernetFrames]]) -> Iterator[EthernetFrames]:
@@ -176,8 +177,9 @@ def _data_stream(run: SensorRun, runner: ChunkRunner, on_truth: OnTruth | None) 
 
 
 def _housekeeping_stream(run: SensorRun, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[EthernetFrames]:
-    """The sensor's other packets."""
-    mount = run.mount
-    payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, run.start_ns, run.duration_ns)
-    for some in payloads:
-        yield ethernet_frames(mount.host, some)
+    """The sensor's other packets, a second at a time."""
+    maker = codec(run.mount.sensor)
+    for begin_ns in range(0, run.duration_ns, SECOND_NS):
+        due_ns = range(begin_ns, min(begin_ns + SECOND_NS, run.duration_ns))
+        kinds = maker.housekeeping(run.mount, trajectory, origin, run.start_ns, due_ns)
+        yield from in_time_order([iter([ethernet_frames(run.mount.host, some)]) for some in kinds if len(some.time_ns)])

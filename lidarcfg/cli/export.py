@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from lidarcfg.capture.manifest import DriveInputs
     from lidarcfg.sensors.rig import ReturnMode, Rig
-    from lidarcfg.simulate.drive import Drive
+    from lidarcfg.simulate.scene_drive import SceneDrive
     from lidarcfg.simulate.sensor_runs import SimulationOptions
     from lidarcfg.simulate.simulator import RayCounts
 
@@ -169,11 +169,11 @@ class ExportOptions:
             return [self.output.with_name(f"{self.output.stem}-{mount.name}.pcap") for mount in rig.mounts]
         return [self.output]
 
-    def save_manifest(self, path: Path, drive: "Drive") -> None:
+    def save_manifest(self, path: Path, drive: "SceneDrive") -> None:
         """Write the manifest beside what was written."""
         from lidarcfg.capture.manifest_writer import ManifestInputs
 
-        ManifestInputs.of(drive, path, self.inputs).save(path, drive, warn)
+        ManifestInputs.of(drive, path, self.inputs).save(path, warn)
 
 
 @dataclass
@@ -213,7 +213,7 @@ def _run(duration_ns: int, size: "Size", rays: Rays, quiet: bool) -> "Iterator[S
         yield SimulationOptions(on_progress, rays.add)
 
 
-def _export_packets(options: ExportOptions, drive: "Drive", rays: Rays) -> list[str]:
+def _export_packets(options: ExportOptions, drive: "SceneDrive", rays: Rays) -> list[str]:
     """Write one pcap, or with `split` one of each sensor, and the files that readers need. Returns what to print."""
     from contextlib import ExitStack
 
@@ -221,7 +221,7 @@ def _export_packets(options: ExportOptions, drive: "Drive", rays: Rays) -> list[
     from lidarcfg.capture.ground_truth import TruthFile
     from lidarcfg.capture.pcap import write_pcap
     from lidarcfg.inputs import check_room, format_bytes
-    from lidarcfg.simulate.drive import object_names
+    from lidarcfg.simulate.scene_drive import object_names
 
     if options.deskew:
         raise click.UsageError("--deskew is for points; packets stay as a sensor sends them")
@@ -265,7 +265,7 @@ def _export_packets(options: ExportOptions, drive: "Drive", rays: Rays) -> list[
     return lines + [f"{truth}: {records:,} returns"] * bool(truth)
 
 
-def _export_points(options: ExportOptions, drive: "Drive", rays: Rays) -> list[str]:
+def _export_points(options: ExportOptions, drive: "SceneDrive", rays: Rays) -> list[str]:
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.clouds.cloud import row_bytes
     from lidarcfg.errors import LidarcfgError

@@ -175,6 +175,17 @@ def merge_echoes(
     (N, K + 1) is what is left of the light; else both are empty.
     """
 
+def aim_firings(
+    lasers: Lasers,
+    mounting: Mounting,
+    firings: Firings,
+    origins_m: Annotated[NDArray[numpy.float64], dict(shape=(None, 3))],
+    directions: Annotated[NDArray[numpy.float64], dict(shape=(None, 3))],
+) -> None:
+    """
+    Write where the beams of firings start in the world, and their unit vectors; a beam has one ray.
+    """
+
 def trace_firings(
     world: lidarcfg.core.world.World,
     bodies: lidarcfg.core.world.Bvh,

@@ -15,8 +15,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.io import formats
 from lidarcfg.io.drive_dataset import DriveDataset
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import simulated_scans
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
 
@@ -58,7 +58,7 @@ def export(
     if trajectory is not None and isinstance(at, Trajectory):
         raise LidarcfgError("at is a trajectory, and a file of another is given; allowed: one of them")
     output = Path(output)
-    drive = Drive.load(rig, scene, duration_s, at=at, trajectory=trajectory)
+    drive = SceneDrive.load(rig, scene, duration_s, at=at, trajectory=trajectory)
     if output.parent.is_dir():
         check_replaceable(manifest_path(output))  # not after hours
     given = DriveInputs(_file(rig), _file(scene), _file(trajectory))
@@ -73,7 +73,7 @@ def export(
         written = formats.Amount(write_pcap(output, in_time_order(streams)), "frames")
         companions = save_sidecar_files(output, drive.rig.mounts)
     remove_outdated(inputs.outdated(output))
-    beside = *companions, *inputs.save(output, drive, on_warning)
+    beside = *companions, *inputs.save(output, on_warning)
     return Exported((output, *beside), written.count, written.what)
 
 

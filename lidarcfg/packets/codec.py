@@ -168,9 +168,9 @@ class Codec(Timing, Protocol):
         return np.broadcast_to(batch.firings.time_ns[:, None], range_m.shape)
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
-        """The sensor's other packets: position, state, calibration, inertial measurements."""
+        """The other packets due so long after the start: position, state, calibration, inertial measurements."""
         return iter(())
 
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:

@@ -19,6 +19,7 @@ from lidarcfg import maths
 from lidarcfg.core import simulate
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.scene_file import Weather
 
@@ -48,18 +49,15 @@ REPORTED = {
     "first-strongest": (FIRST, STRONGEST_BUT_FIRST),
     "two-strongest": (STRONGEST, SECOND),
 }
+EXACT = Realism()
 DARK = 2  # reflectivities below are of dark targets
 
 
 def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
-    """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided.
-
-    `first` and `count` are multiples of four: Philox generates four at a time.
-    """
-    assert first % 4 == 0
-    assert count % 4 == 0
+    """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided."""
+    before = first % 4  # Philox generates four at a time
     philox = np.random.Philox(key=[realism.seed, 8 * sensor_index + stream], counter=[first // 4, 0, 0, 0])
-    return np.random.Generator(philox).random(count) + 2.0**-54
+    return np.random.Generator(philox).random(before + count)[before:] + 2.0**-54
 
 
 @dataclass(frozen=True)
@@ -172,6 +170,24 @@ def _droplets(
     albedo = math.pi * PULSE_M * alpha / LIDAR_RATIO_SR * speckle
     best = np.argmax(albedo * maths.exp(-2 * alpha * middle) / middle**2, axis=1)
     return middle[best], albedo[np.arange(count), best]
+
+
+class SensorErrors:
+    """What the sensor number `index` of a rig adds to exact echoes: dropouts, noise, and its lasers' own errors."""
+
+    def __init__(self, index: int, mount: Mount) -> None:
+        self._index = index
+        self._realism = mount.realism or EXACT
+        self._return_mode = mount.return_mode
+        self._lasers_m = laser_errors_m(self._realism, index, mount.sensor.count)
+
+    def add(self, found: Echoes, laser: NDArray[np.uint8], first: int) -> None:
+        """Change the echoes of N firings of lasers (N,), numbered from `first` on."""
+        apply_dropout(found, self._realism, self._index, first)
+        add_noise(found, self._realism, self._index, first)
+        found.noise_m[:] += self._lasers_m[laser][:, None]
+        if self._return_mode == "dual":
+            drop_one_return(found, self._realism, self._index, first)
 
 
 def apply_dropout(found: Echoes, realism: Realism, sensor_index: int, first: int) -> None:

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from lidarcfg import maths
 from lidarcfg.clouds.cloud import PointCloud, concatenate
-from lidarcfg.geometry import Array, Times
+from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.inputs import check_memory
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.firing import NO_ELEVATIONS, RETURN_TYPES, FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.drive import Drive, object_names
 from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.scene_drive import SceneDrive, object_names
 from lidarcfg.simulate.sensor_runs import (
     CHUNK_RAYS,
     ChunkRunner,
@@ -38,7 +38,7 @@ SECOND_STRONGEST = 2  # another
 STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the other may be the strongest instead
 
 
-def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> Iterator[PointCloud]:
+def simulated_scans(drive: SceneDrive, options: SimulationOptions | None = None) -> Iterator[PointCloud]:
     """The points of each sensor's revolutions in its own frame, in the order in which they end.
 
     A revolution begins where the head passes azimuth 0, or the start of a narrower field of view; of a scan pattern
@@ -54,7 +54,7 @@ def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> I
     return heapq.merge(*streams, key=lambda scan: int(scan.time_ns[-1]))
 
 
-def most_returns(drive: Drive) -> int:
+def most_returns(drive: SceneDrive) -> int:
     """The number of points in a drive if each ray returns. Raises ConfigError."""
     rates = [most_returns_per_ns(mount, timing(mount.sensor).pace(mount)) for mount in drive.rig.mounts]
     return round(sum(rates) * drive.duration_ns)
@@ -146,7 +146,7 @@ class _RevolutionCounter:
         mount = run.mount
         begin_rad = math.radians(mount.azimuth_fov_deg[0]) if mount.azimuth_fov_deg else 0.0
         everywhere = replace(mount, azimuth_fov_deg=None)
-        first = next(iter(run.timing.schedule(everywhere, run.start_ns, 1, 1))).firings
+        first = next(iter(run.timing.schedule(everywhere, run.start_ns, [range(1)]))).firings
         ahead = (first.encoder_rad[0] - begin_rad) % (2 * math.pi) / (2 * math.pi)
         return cls(mount.rpm / MINUTE_NS, int(first.time_ns[0]), float(ahead), begin_rad)
 
@@ -159,19 +159,8 @@ class _RevolutionCounter:
 def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCloud]:
     """The points of N firings, and which firing each is of."""
     sensor = mount.sensor
-    assert sensor.range
-    (least_m, most_m) = sensor.range.reported_m
     range_m = found.range_m + found.noise_m
-    there = (range_m >= least_m) & (range_m <= most_m)
-    kinds = np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape).copy()
-    if mount.dual:
-        bright = found.reflectivity
-        alike = there.all(axis=1) & (range_m[:, 0] == range_m[:, 1]) & (bright[:, 0] == bright[:, 1])
-        there[:, 1] &= ~alike
-        if mount.return_mode in STRONGEST_AT:
-            at = STRONGEST_AT[mount.return_mode]
-            kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
-    firing, which = np.nonzero(there)
+    firing, which, kind = reported(mount, range_m, found.reflectivity)
     cloud = PointCloud(
         xyz=firing_ends(sensor, fired[firing], range_m[firing, which]),
         intensity=found.reflectivity[firing, which],
@@ -179,10 +168,27 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
         time_ns=fired.time_ns[firing],
         sensor=np.zeros(len(firing), np.uint16),
         sensor_names=(mount.name,),
-        return_type=kinds[firing, which],
+        return_type=kind,
         object=found.object[firing, which],
     )
     return firing, cloud
+
+
+def reported(mount: Mount, range_m: Array, reflectivity: Bytes) -> tuple[Times, Times, Bytes]:
+    """Which echoes (N, R) of firings a sensor reports: firing (M,), which of its R echoes, and the type of return."""
+    assert mount.sensor.range
+    least_m, most_m = mount.sensor.range.reported_m
+    there = (range_m >= least_m) & (range_m <= most_m)
+    kinds = np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape).copy()
+    if mount.dual:
+        bright = reflectivity
+        alike = there.all(axis=1) & (range_m[:, 0] == range_m[:, 1]) & (bright[:, 0] == bright[:, 1])
+        there[:, 1] &= ~alike
+        if mount.return_mode in STRONGEST_AT:
+            at = STRONGEST_AT[mount.return_mode]
+            kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
+    firing, which = np.nonzero(there)
+    return firing, which, kinds[firing, which]
 
 
 def firing_ends(sensor: Sensor, fired: Firings, range_m: Array) -> Array:

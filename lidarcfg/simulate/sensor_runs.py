@@ -1,10 +1,10 @@
 """The work of a simulation: each sensor of a rig is traced chunk by chunk, on threads that all sensors share."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -13,13 +13,12 @@ from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import Array
-from lidarcfg.packets.families import timing
-from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Timing
+from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Timing, spans
 from lidarcfg.sensors.pattern_timing import in_view
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.sensors.sensor import Range
-from lidarcfg.simulate.drive import Drive
+from lidarcfg.simulate.drive import FiredPackets, SensorTimeline, timelines
 from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.simulate.simulator import RayCounts, Simulator
 from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.motion import Trajectory
@@ -45,50 +44,39 @@ class SimulationOptions:
 
 
 @dataclass(frozen=True)
-class SensorRun:
+class SensorRun(SensorTimeline):
     """The simulation of one sensor."""
 
-    index: int
-    mount: Mount
-    timing: Timing
     simulator: Simulator
-    start_ns: int
     duration_ns: int
     chunk_ns: int
 
 
-def sensor_runs(drive: Drive, chunk_ns: int) -> list[SensorRun]:
+def sensor_runs(drive: SceneDrive, chunk_ns: int) -> list[SensorRun]:
     """The work of each sensor; sensor i of n starts i/n of a packet after the first. Raises ConfigError."""
-    mounts = [_with_range(mount) for mount in drive.rig.mounts]
     trajectory = drive.trajectory
     start_ns = drive.start_ns
-    timings = [checked_timing(mount, drive.duration_ns) for mount in mounts]
-    for mount in mounts:
-        check_place(mount.name, mount.position_m)
+    sensors = timelines(drive.rig, start_ns)
+    for sensor in sensors:
+        check_duration(sensor.mount, sensor.timing, drive.duration_ns)
+        check_place(sensor.mount.name, sensor.mount.position_m)
     if drive.vehicle:
-        check_outside(drive.vehicle, mounts)
-    starts_ns = [
-        start_ns + i * one.pace(mount).period_ns // len(mounts)
-        for i, (mount, one) in enumerate(zip(mounts, timings, strict=True))
-    ]
-    end_ns = max(starts_ns) + drive.duration_ns
+        check_outside(drive.vehicle, drive.rig.mounts)
+    end_ns = max(sensor.start_ns for sensor in sensors) + drive.duration_ns
     if start_ns < 0 or (end_ns + 500) // 1000 * 1000 >= TIME_END_NS:
         raise ConfigError("start and duration exceed the times of a pcap, 1970 to 2106-02-07T06:28:16 UTC")
     tracer = Tracer(drive.scene, _checked_start(trajectory, start_ns, end_ns), start_ns)
     tracer.check_span(0, (end_ns - start_ns) / SECOND_NS)
     bodies = Tracer(drive.vehicle.scene, np.zeros(3)) if drive.vehicle else None
     return [
-        SensorRun(i, mount, one, Simulator(i, mount, tracer, trajectory, bodies), first_ns, drive.duration_ns, chunk_ns)
-        for i, (mount, one, first_ns) in enumerate(zip(mounts, timings, starts_ns, strict=True))
+        SensorRun(
+            **vars(sensor),
+            simulator=Simulator(sensor.index, sensor.mount, tracer, trajectory, bodies),
+            duration_ns=drive.duration_ns,
+            chunk_ns=chunk_ns,
+        )
+        for sensor in sensors
     ]
-
-
-def _with_range(mount: Mount) -> Mount:
-    """The mount; if its sensor's range is not known, with the range given by the rig."""
-    if mount.sensor.range or not mount.range_m:
-        return mount
-    known = Range(source="the rig", min_m=mount.range_m[0], max_m=mount.range_m[1])
-    return replace(mount, sensor=mount.sensor.model_copy(update={"range": known}))
 
 
 def fired_fraction(mount: Mount) -> float:
@@ -104,24 +92,14 @@ def most_returns_per_ns(mount: Mount, pace: PacketPace) -> float:
     return pace.firings * fired_fraction(mount) * len(RETURN_TYPES[mount.return_mode]) / pace.period_ns
 
 
-def checked_timing(mount: Mount, duration_ns: int) -> Timing:
-    """When the mount's lasers fire. Raises ConfigError unless the sensor can be simulated for this long."""
-    sensor = mount.sensor
-    try:
-        found = timing(sensor)
-        found.check(mount)
-    except ConfigError as error:
-        raise error.of(mount.name) from None
-    if sensor.range is None:
-        what = f"sensor {sensor.name!r} has no range; add range: {{max_m: ...}} to its file, or range_m to the rig"
-        raise ConfigError(f"{mount.name}: {what}")
-    period_ns = found.pace(mount).period_ns
+def check_duration(mount: Mount, timing: Timing, duration_ns: int) -> None:
+    """Raises ConfigError unless the mount's sensor sends a packet in this time."""
+    period_ns = timing.pace(mount).period_ns
     if duration_ns < period_ns:
         raise ConfigError(
             f"a duration of {duration_ns / SECOND_NS:g} s holds no packet of {mount.name}; "
             f"allowed: at least {period_ns / SECOND_NS:g} s"
         )
-    return found
 
 
 def check_place(name: str, position_m: Sequence[float] | Array) -> None:
@@ -197,22 +175,19 @@ class ChunkRunner:
 
 def map_chunks(run: SensorRun, runner: ChunkRunner, make: Callable[[FiringBatch, Echoes], T]) -> Iterator[T]:
     """The results of `make` for the firings and echoes of each non-empty chunk, in the order of time, on threads."""
-    timing = run.timing
-    mount = run.mount
     simulator = run.simulator
-    pace = timing.pace(mount)
+    pace = run.timing.pace(run.mount)
     total = run.duration_ns // pace.period_ns
     packets = max(min(run.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * simulator.width)), 1)
 
-    def work(batch: FiringBatch, first: int) -> tuple[T, RayCounts] | None:
-        if not len(batch.sent_ns):
+    def work(fired: FiredPackets) -> tuple[T, RayCounts] | None:
+        if not len(fired.batch.sent_ns):
             return None
-        found, counts = simulator.echoes(batch.firings, first)
-        return make(batch, found), counts
+        found, counts = simulator.echoes(fired.batch.firings, fired.first)
+        return make(fired.batch, found), counts
 
     with runner.threads.pool() as pool:
-        batches = timing.schedule(mount, run.start_ns, total, packets)
-        jobs = (pool.submit(work, batch, first) for batch, first in _numbered(batches))
+        jobs = (pool.submit(work, fired) for fired in run.fired(spans(total, packets)))
         for number, chunk in enumerate(ordered_results(jobs, AHEAD), 1):
             if chunk:
                 made = [chunk[0]]
@@ -221,11 +196,3 @@ def map_chunks(run: SensorRun, runner: ChunkRunner, make: Callable[[FiringBatch,
                 yield made.pop()
             done_ns = number * packets * pace.period_ns
             runner.progress.set(run.index, done_ns if number * packets < total else run.duration_ns)
-
-
-def _numbered(batches: Iterable[FiringBatch]) -> Iterator[tuple[FiringBatch, int]]:
-    """Each batch with the number of its first firing."""
-    first = 0
-    for batch in batches:
-        yield batch, first
-        first += len(batch.firings.time_ns)

@@ -4,24 +4,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidarcfg import maths
 from lidarcfg.core import simulate, world
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
 from lidarcfg.sensors.firing import Firings
-from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.simulate.aim import firings_of, lasers_of, mounting_of
 from lidarcfg.simulate.echoes import (
     CELLS,
+    EXACT,
     REPORTED,
     Echoes,
-    add_noise,
-    apply_dropout,
+    SensorErrors,
     beam_rays,
-    drop_one_return,
     extinction_per_m,
-    laser_errors_m,
     thin_beam_echoes,
     wide_beam_echoes,
 )
@@ -29,7 +24,6 @@ from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene_file import Weather
 from lidarcfg.world.tracer import NO_SHAPES, NO_SLOT, Tracer
 
-EXACT = Realism()
 CLEAR = Weather()
 BEYOND_M = 1.0  # beyond a sensor's range nothing is reported; rays are traced this much farther
 
@@ -62,9 +56,9 @@ class Simulator:
             raise ConfigError(f"{mount.name}: divergence: sensor {mount.sensor.name!r} has no optics facts")
         self._exact = self._realism.model_copy(update={"seed": 0}) == EXACT and self._weather == CLEAR
         across, above, self._weights = beam_rays(mount.sensor, self._realism)
-        self._errors_m = laser_errors_m(self._realism, index, mount.sensor.count)
-        self._lasers = _lasers(mount.sensor, across, above)
-        self._mounting = _mounting(mount, trajectory, tracer.origin_m)
+        self._errors = SensorErrors(index, mount)
+        self._lasers = lasers_of(mount.sensor, across, above)
+        self._mounting = mounting_of(mount, trajectory, tracer.origin_m)
         cells = CELLS if extinction_per_m(self._weather) else 0
         self.width = len(across) + cells  # rays and cells per firing
 
@@ -85,11 +79,7 @@ class Simulator:
         reported = wide_beam_echoes(
             sensor, self._realism, self._weather, self._index, first, self._weights, rays, candidates
         )
-        apply_dropout(reported, self._realism, self._index, first)
-        add_noise(reported, self._realism, self._index, first)
-        reported.noise_m[:] += self._errors_m[fired.laser][:, None]
-        if mount.return_mode == "dual":
-            drop_one_return(reported, self._realism, self._index, first)
+        self._errors.add(reported, fired.laser, first)
         return reported, counts
 
     def _trace(self, fired: Firings) -> simulate.Hits:
@@ -110,12 +100,7 @@ class Simulator:
             self._surfaces,
             self._lasers,
             self._mounting,
-            simulate.Firings(
-                time_ns=fired.time_ns,
-                laser=fired.laser,
-                encoder_rad=fired.encoder_rad,
-                elevation_rad=fired.elevation_rad,
-            ),
+            firings_of(fired),
             self._tracer.zero_ns,
             self._mount.sensor.range.reported_m[1] + BEYOND_M,
             hits,
@@ -139,28 +124,3 @@ def _surfaces(tracer: Tracer, bodies: Tracer | None) -> simulate.Surfaces:
         objects = np.concatenate([objects, len(tracer.scene.names) + bodies.world.fixed.object], dtype=np.int32)
         reflectivity.append(bodies.scene.reflectivity)
     return simulate.Surfaces(object=objects, reflectivity=np.concatenate(reflectivity))
-
-
-def _lasers(sensor: Sensor, across: Array, above: Array) -> simulate.Lasers:
-    return simulate.Lasers(
-        cos_elevation=maths.cos(sensor.elevation_rad),
-        sin_elevation=maths.sin(sensor.elevation_rad),
-        cos_offset=maths.cos(sensor.azimuth_offset_rad),
-        sin_offset=maths.sin(sensor.azimuth_offset_rad),
-        forward_m=np.ascontiguousarray(sensor.forward_offset_m),
-        left_m=np.ascontiguousarray(sensor.lateral_offset_m),
-        up_m=np.ascontiguousarray(sensor.vertical_offset_m),
-        across=across,
-        above=above,
-    )
-
-
-def _mounting(mount: Mount, trajectory: Trajectory, origin_m: Array) -> simulate.Mounting:
-    T_world_start = np.array(trajectory.T_world_start)
-    T_world_start[:3, 3] -= origin_m
-    return simulate.Mounting(
-        T_world_start=T_world_start,
-        path=trajectory.path.compiled,
-        zero_ns=trajectory.zero_ns,
-        T_vehicle_sensor=np.ascontiguousarray(mount.T_vehicle_sensor),
-    )

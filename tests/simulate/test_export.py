@@ -24,7 +24,7 @@ from lidarcfg.inputs import check_room
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import custom_sensor
-from lidarcfg.simulate.drive import Drive
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
 from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
@@ -353,7 +353,7 @@ def test_the_size_of_a_capture_is_known_beforehand(street, tmp_path):
     mounts = [replace(one, azimuth_fov_deg=(270.0, 90.0)) if "left" in one.name else one for one in rig.mounts]
     mounts[-1] = replace(mounts[-1], return_mode="dual")
     rig = replace(rig, mounts=tuple(mounts))
-    drive = Drive(rig, street, Trajectory.static(np.eye(4)), None, START_NS, SECOND_NS // 5)
+    drive = SceneDrive(rig, street, Trajectory.static(np.eye(4)), None, START_NS, SECOND_NS // 5)
     path = tmp_path / "a.pcap"
     write_pcap(path, in_time_order(simulated_packets(rig, street, np.eye(4), SECOND_NS // 5)))
     written = sum(16 + len(one) + 42 for one in (d.payload for d in datagrams_of(path)) if len(one) > 1000)

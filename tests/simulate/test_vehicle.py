@@ -13,7 +13,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation, transform
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
-from lidarcfg.simulate.drive import object_names
+from lidarcfg.simulate.scene_drive import object_names
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import STATIC, Arc, Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.vehicle import VehicleFile, load_vehicle, rig_vehicle, vehicle

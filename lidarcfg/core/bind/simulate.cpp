@@ -135,6 +135,19 @@ void require_firings(const Firings& firings, const Lasers& lasers) {
 
 void bind_trace(nb::module_& module) {
   def(
+      module, "aim_firings",
+      [](const Lasers& lasers, const Mounting& mounting, const Firings& firings, Shaped<Rows<double>, -1, 3> origins_m,
+         Shaped<Rows<double>, -1, 3> directions) {
+        require_lasers(lasers);
+        require(lasers.across.size() == thin, "lasers.across: one");
+        require_firings(firings, lasers);
+        require(origins_m.rows() == std::ssize(firings.time_ns), "origins_m: one for each firing");
+        require(directions.rows() == std::ssize(firings.time_ns), "directions: one for each firing");
+        aim_firings(lasers, mounting, firings, origins_m, directions);
+      },
+      "Write where the beams of firings start in the world, and their unit vectors; a beam has one ray.", "lasers",
+      "mounting", "firings", "origins_m", "directions");
+  def(
       module, "trace_firings",
       [](const world::World& world, const world::Bvh& bodies, const Surfaces& surfaces, const Lasers& lasers,
          const Mounting& mounting, const Firings& firings, std::int64_t zero_ns, double limit_m, const Hits& hits) {

@@ -5,7 +5,7 @@ To read in this order: `layout` has the bytes, `model` what differs between mode
 of the package uses.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -47,8 +47,8 @@ class Hesai(Codec):
         unit = unit_of(self.unit, mount)
         return PacketPace(unit.period_ns(mount.dual), unit.groups(mount.dual) * unit.lasers.shape[1])
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        return batches(unit_of(self.unit, mount), mount, start_ns, packets, chunk)
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        return batches(unit_of(self.unit, mount), mount, start_ns, spans)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         packets = encode.encode(unit_of(self.unit, mount), mount, batch, range_m, reflectivity)

@@ -1,6 +1,6 @@
 """The key `hesai` of a sensor's file: the facts of its packets, and when and where each laser fires."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -281,16 +281,15 @@ def unit_of(unit: HesaiUnit, mount: Mount) -> HesaiUnit:
     return resolutions(unit)[1]
 
 
-def batches(unit: HesaiUnit, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-    """The firings in the time of this many packets, `chunk` packets at a time.
+def batches(unit: HesaiUnit, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+    """The firings in the time of successive packets, a batch for each span of their numbers.
 
     Packet 0's lasers start to fire `stamp_ns` after `start_ns`, or at it if their stamp is later. With an azimuth field
     of view, packets are sent in which some firing lies within it.
     """
     sent = 0
     longest_ns = int(unit.offset_ns.max())
-    for first in range(0, packets, chunk):
-        numbers = range(first, min(first + chunk, packets))
+    for numbers in spans:
         fired, loop, stamp_ns, inside = _firings(unit, mount, start_ns, numbers)
         ends_ns = stamp_ns + max(unit.facts.firing.stamp_ns + longest_ns, 0)
         if mount.azimuth_fov_deg is not None:
@@ -299,7 +298,7 @@ def batches(unit: HesaiUnit, mount: Mount, start_ns: int, packets: int, chunk: i
             fired = Firings(fired.time_ns[rows], fired.laser[rows], fired.encoder_rad[rows])
             loop = loop[some]
             ends_ns = ends_ns[some]
-        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000, loop)
+        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000, loop, sent)
         sent += len(ends_ns)
 
 

@@ -5,7 +5,7 @@ To read in this order: `layout` has the bytes, `model` what differs between mode
 `emulator` what it answers. `Livox` is the codec that the rest of the package uses.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,8 +55,8 @@ class Livox(PatternTiming, Codec):
     def pace(self, mount: Mount) -> PacketPace:
         return self.unit.pace
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        return batches(self.unit, start_ns, packets, chunk)
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        return batches(self.unit, start_ns, spans)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """Out of the field of view points are zeros."""
@@ -78,12 +78,12 @@ class Livox(PatternTiming, Codec):
         return np.full(range_m.shape, STRONGEST, np.uint8)
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         """Inertial measurements."""
         imu = self.unit.facts.imu
         if imu and settings(mount).imu:
-            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
+            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, due_ns)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

@@ -1,6 +1,6 @@
 """The key `livox` of a sensor's file and of a mount: the facts of its packets, and when its lasers fire."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -97,13 +97,16 @@ def settings(mount: Mount) -> LivoxSettings:
     return mount.settings.checked(LivoxSettings)
 
 
-def batches(unit: LivoxUnit, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-    """The firings of this many packets, `chunk` packets at a time. Each packet leaves when the next one begins."""
+def batches(unit: LivoxUnit, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+    """The firings of successive packets, a batch for each span of their numbers.
+
+    Each packet leaves when the next one begins.
+    """
     pattern = unit.sensor.pattern
     points = unit.facts.packet.points
-    for first in range(0, packets, chunk):
-        end = min(first + chunk, packets)
+    for numbers in spans:
+        first, end = numbers.start, numbers.stop
         ends_ns, _ = pattern.walk(first * points + points, end * points + 1)
         sent_ns = start_ns + ends_ns[::points]
         fired = firings(pattern, start_ns, first * points, end * points)
-        yield FiringBatch(fired, np.arange(first, end), (sent_ns + 500) // 1000 * 1000)
+        yield FiringBatch(fired, np.arange(first, end), (sent_ns + 500) // 1000 * 1000, first=first)

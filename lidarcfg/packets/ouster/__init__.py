@@ -6,7 +6,7 @@ is the codec that the rest of the package uses.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,8 +47,8 @@ class Ouster(Codec):
         mode = self._mode(mount)
         return PacketPace(mode.period_ns, mode.layout.columns_per_packet * mode.layout.pixels)
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        return batches(self._mode(mount), start_ns, packets, chunk, mount.phase_deg)
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        return batches(self._mode(mount), start_ns, spans, mount.phase_deg)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         mode = self._mode(mount)
@@ -67,14 +67,14 @@ class Ouster(Codec):
         return encode.return_types(self.unit, range_m, reflectivity)
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         """Inertial measurements."""
         mode = self._mode(mount)
         if mode.settings.imu:
             legacy = mode.settings.imu_profile == "LEGACY"
             payloads = telemetry.legacy_imu_payloads if legacy else telemetry.framed_imu_payloads
-            yield from payloads(self.unit, mode, mount, trajectory, start_ns, duration_ns)
+            yield from payloads(self.unit, mode, mount, trajectory, start_ns, due_ns)
 
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The metadata."""

@@ -4,7 +4,7 @@ Both are keys `ouster`, of a sensor's file and of a mount in a rig's file.
 """
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -197,22 +197,26 @@ def _window(fov_deg: tuple[float, float] | None, count: int) -> tuple[int, int]:
     return first % count, last % count
 
 
-def batches(mode: Mode, start_ns: int, packets: int, chunk: int, phase_deg: float | None) -> Iterator[FiringBatch]:
-    """The firings in the time of this many packets, `chunk` packets at a time.
+def batches(mode: Mode, start_ns: int, spans: Iterable[range], phase_deg: float | None) -> Iterator[FiringBatch]:
+    """The firings in the time of successive packets, a batch for each span of their numbers.
 
     The first packet begins with column 0, which points backwards; with a phase lock, with the column that is due.
     Packets without a column in the azimuth window are not sent. Packet numbers count from the start of the first
     revolution.
     """
     zero_ns, first = phase(mode, start_ns, phase_deg)
-    end_ns = start_ns + packets * mode.period_ns
-    for at in range(first, first + packets, chunk):
-        number = np.arange(at, min(at + chunk, first + packets))
+    sent = 0  # as IP counts them: from the first one's number on
+    for span in spans:
+        begin_ns, end_ns = (start_ns + at * mode.period_ns for at in (span.start, span.stop))
+        number = np.arange(first + max(span.start - 1, 0), first + span.stop)
         number = number[in_window(mode, measurements(mode, number)).any(axis=1)]
-        number = number[column_times_ns(mode, zero_ns, number + 1)[:, 0] <= end_ns]
+        done_ns = column_times_ns(mode, zero_ns, number + 1)[:, 0]
+        within = (done_ns > begin_ns) & (done_ns <= end_ns)  # with a phase lock packets are complete a little later
+        number, done_ns = number[within], done_ns[within]
         time_ns = column_times_ns(mode, zero_ns, number)
-        sent_ns = (column_times_ns(mode, zero_ns, number + 1)[:, 0] + 500) // 1000 * 1000
-        yield FiringBatch(_firings(mode, number, time_ns), number, sent_ns)
+        sent = sent or int(number[:1].sum())
+        yield FiringBatch(_firings(mode, number, time_ns), number, (done_ns + 500) // 1000 * 1000, first=sent)
+        sent += len(number)
 
 
 def measurements(mode: Mode, number: Times) -> Times:

@@ -78,13 +78,13 @@ class Robosense(SequenceTiming, Codec):
         return ranked(types, self.unit.range.holds_both(range_m), reflectivity) if mount.dual else types
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         """DIFOP packets; inertial measurements of an Airy."""
-        yield from telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
+        yield from telemetry.difop_payloads(self.unit, mount, start_ns, due_ns)
         imu = self.unit.facts.imu
         if imu and mount.settings.checked(RobosenseSettings).imu:
-            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
+            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, due_ns)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

@@ -55,13 +55,14 @@ class Difop:
         return len(self.elevation_rad)
 
 
-def difop_payloads(unit: RobosenseUnit, mount: Mount, start_ns: int, duration_ns: int) -> Iterator[Payloads]:
+def difop_payloads(unit: RobosenseUnit, mount: Mount, start_ns: int, due_ns: range) -> Iterator[Payloads]:
     """The DIFOP packets of a sensor, the first before anything else and one a second from then on."""
     headers = unit.facts.headers
-    times_ns = np.arange(start_ns, start_ns + duration_ns, SECOND_NS, dtype=np.int64)
+    first, end = (-(-at_ns // SECOND_NS) for at_ns in (due_ns.start, due_ns.stop))
+    times_ns = start_ns + np.arange(first, end) * SECOND_NS
     packets = difop_packets(unit, mount, times_ns)
     sent_ns = times_ns // 1000 * 1000
-    yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.difop)
+    yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.difop, first)
 
 
 def difop_packets(unit: RobosenseUnit, mount: Mount, times_ns: np.ndarray) -> Packets:
@@ -105,11 +106,11 @@ def difop_packets(unit: RobosenseUnit, mount: Mount, times_ns: np.ndarray) -> Pa
 
 
 def imu_payloads(
-    unit: RobosenseUnit, imu: AiryImu, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: RobosenseUnit, imu: AiryImu, mount: Mount, trajectory: "Trajectory", start_ns: int, due_ns: range
 ) -> Iterator[Payloads]:
     """A packet a measurement, counted from 1: accelerations, gravity included, and rates in the sensor's frame."""
     headers = unit.facts.headers
-    for number, time_ns, sent_ns in samples(start_ns, duration_ns, SECOND_NS // imu.rate_hz):
+    for number, time_ns, sent_ns in samples(start_ns, due_ns, SECOND_NS // imu.rate_hz):
         packets: Packets = np.zeros(len(number), IMU)
         packets["id"] = IMU_ID
         packets["tail"] = IMU_TAIL

@@ -69,9 +69,9 @@ class Velodyne(SequenceTiming, Codec):
         return ranked(types, self.unit.range.holds_both(range_m), reflectivity) if mount.dual else types
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
-        return telemetry.position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
+        return telemetry.position_payloads(self.unit, mount, trajectory, origin, start_ns, due_ns)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

@@ -237,7 +237,7 @@ def _read(table: NDArray[np.void]) -> tuple[Beams, Calibration]:
 
 
 def position_payloads(
-    unit: VelodyneUnit, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+    unit: VelodyneUnit, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
 ) -> Iterator[Payloads]:
     """The position packets of a sensor that has them, evenly spaced."""
     facts = unit.facts.position_packet
@@ -246,9 +246,9 @@ def position_payloads(
         return
     settings = mount.settings.checked(VelodyneSettings)
     period_ns = SECOND_NS / Fraction(facts.rate_hz)
-    total = math.ceil(duration_ns / period_ns)
-    for first in range(0, total, CHUNK):
-        numbers = range(first, min(first + CHUNK, total))
+    begin, end = (math.ceil(at_ns / period_ns) for at_ns in (due_ns.start, due_ns.stop))
+    for first in range(begin, end, CHUNK):
+        numbers = range(first, min(first + CHUNK, end))
         times_ns = start_ns + np.array([int(number * period_ns) for number in numbers], np.int64)
         nmea = sentences(unit, settings, trajectory, origin, start_ns, times_ns)
         packets = position_packets(times_ns, settings.pps, nmea)

@@ -29,10 +29,10 @@ from lidarcfg.requirements.scenarios.approach import (
 from lidarcfg.requirements.scenarios.file import TARGET, Scenario
 from lidarcfg.requirements.scenarios.sight import LineOfSight, earliest_sight, places_within
 from lidarcfg.returns.counts import LOW_M
-from lidarcfg.sensors.firing import Firings, joined
+from lidarcfg.sensors.firing import Firings, joined, spans
 from lidarcfg.sensors.rig import Mount, Rig
-from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import firing_ends
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.simulate.sensor_runs import CHUNK_NS, SensorRun, sensor_runs
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.vehicle import Vehicle
@@ -76,11 +76,11 @@ class TargetReturns:
         return counts
 
 
-def drive_of(approach: Approach, mounts: Sequence[Mount], vehicle: Vehicle | None) -> Drive:
+def drive_of(approach: Approach, mounts: Sequence[Mount], vehicle: Vehicle | None) -> SceneDrive:
     """The run as `export` has it, from its start to the impact."""
     rig = Rig("rig", tuple(mounts))
     duration_ns = round(approach.lead_s * SECOND_NS)
-    return Drive(rig, approach.scene, approach.trajectory(START_NS), vehicle, START_NS, duration_ns)
+    return SceneDrive(rig, approach.scene, approach.trajectory(START_NS), vehicle, START_NS, duration_ns)
 
 
 def fire(
@@ -116,23 +116,23 @@ class _Frame(NamedTuple):
     T_sensor_vehicle: Array
 
 
-def _frames(task: SensorRun, frame_ns: int, count: int) -> Iterator[_Frame]:
+def _frames(run: SensorRun, frame_ns: int, count: int) -> Iterator[_Frame]:
     """A sensor's firings, frame by frame."""
-    period_ns = task.timing.pace(task.mount).period_ns
+    period_ns = run.timing.pace(run.mount).period_ns
     packets = count * frame_ns // period_ns + 2
     waiting: list[tuple[Counts, Firings]] = []  # batches, with the frame of each firing
     frame = 0
-    for batch in task.timing.schedule(task.mount, task.start_ns, packets, max(frame_ns // period_ns, 1)):
+    for batch in run.timing.schedule(run.mount, run.start_ns, spans(packets, max(frame_ns // period_ns, 1))):
         if not len(batch.firings.time_ns):
             continue
         numbers = (batch.firings.time_ns - START_NS) // frame_ns
         while frame < min(int(numbers.min()), count):  # later batches fire later
-            yield _frame(task.mount, waiting, frame)
+            yield _frame(run.mount, waiting, frame)
             frame += 1
         waiting = [one for one in waiting if one[0].max() >= frame]
         waiting.append((numbers, batch.firings))
     for rest in range(frame, count):
-        yield _frame(task.mount, waiting, rest)
+        yield _frame(run.mount, waiting, rest)
 
 
 def _frame(mount: Mount, batches: Sequence[tuple[Counts, Firings]], frame: int) -> _Frame:
@@ -146,16 +146,16 @@ def _frame(mount: Mount, batches: Sequence[tuple[Counts, Firings]], frame: int) 
     return _Frame(fired, starts_m, directions, offset_m, T_vehicle_sensor, inverse(T_vehicle_sensor))
 
 
-def _returns(approach: Approach, task: SensorRun, frame: _Frame, number: int, frame_ns: int) -> Array:
+def _returns(approach: Approach, run: SensorRun, frame: _Frame, number: int, frame_ns: int) -> Array:
     """(N, 3) the points of the target that a sensor reports in a frame, in the world, heights above the ground."""
-    mount = task.mount
+    mount = run.mount
     assert mount.sensor.range
     least_m, most_m = mount.sensor.range.reported_m
     some = _may_hit(approach, most_m, frame, (number + 0.5) * frame_ns / SECOND_NS, frame_ns)
     if not len(some):
         return np.empty((0, 3))
     fired = frame.firings[some]
-    found, _ = task.simulator.echoes(fired, 0)
+    found, _ = run.simulator.echoes(fired, 0)
     range_m = found.range_m[:, 0]
     if mount.range_m:
         least_m, most_m = max(least_m, mount.range_m[0]), min(most_m, mount.range_m[1])

@@ -14,6 +14,7 @@ from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import spans
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.scene import load_scene
@@ -31,7 +32,7 @@ def sensed(of, packets, seed=1):
     rng = np.random.default_rng(seed)
     maker = codec(of.sensor)
     columns = 1 + of.dual
-    for batch in maker.schedule(of, START_NS, packets, CHUNK):
+    for batch in maker.schedule(of, START_NS, spans(packets, CHUNK)):
         shape = len(batch.firings.time_ns), columns
         range_m = np.sort(rng.uniform(of.sensor.range.min_m, of.sensor.range.max_m, shape), axis=1)
         range_m[rng.random(len(range_m)) < 0.1] = np.inf
@@ -296,7 +297,7 @@ def test_azimuth_windows(model, tmp_path):
 def test_chunks_do_not_matter():
     of = mount("qt128", "dual", azimuth_fov_deg=(10.0, 90.0), phase_deg=30.0)
     maker = codec(of.sensor)
-    whole, parts = (list(maker.schedule(of, START_NS + 777, 500, chunk)) for chunk in (500, 33))
+    whole, parts = (list(maker.schedule(of, START_NS + 777, spans(500, chunk))) for chunk in (500, 33))
     for key in ("number", "sent_ns"):
         np.testing.assert_array_equal(getattr(whole[0], key), np.concatenate([getattr(one, key) for one in parts]))
     for key in ("time_ns", "laser", "encoder_rad"):
@@ -307,7 +308,7 @@ def test_chunks_do_not_matter():
 def test_the_phase_lock():
     """At a whole second the head points there, clockwise from the x axis."""
     of = mount("pandar-xt32", phase_deg=123.0)
-    batch = next(codec(of.sensor).schedule(of, START_NS, 2500, 2500))
+    batch = next(codec(of.sensor).schedule(of, START_NS, [range(2500)]))
     for second in (0, 1):
         nearest = np.argmin(abs(batch.firings.time_ns - START_NS - second * SECOND_NS))
         assert abs(np.degrees(batch.firings.encoder_rad[nearest]) - 123.0) < 0.2

@@ -22,7 +22,7 @@ def test_changed_octets(model, mode, tmp_path):
     of = mount(model, mode)
     path = tmp_path / "drive.pcap"
     maker = codec(of.sensor)
-    batch = next(maker.schedule(of, START_NS, 50, 50))
+    batch = next(maker.schedule(of, START_NS, [range(50)]))
     shape = len(batch.firings.time_ns), 1 + (mode == "dual")
     payloads = maker.encode(of, batch, rng.uniform(1, 40, shape), rng.integers(0, 256, shape, np.uint8))
     most = 65535 * 0.255

@@ -39,7 +39,7 @@ def sensed(of, packets):
     """A batch with ranges and reflectivities out of a hat: a tenth measures nothing, half of the pairs are one."""
     rng = np.random.default_rng(3)
     maker = codec(of.sensor)
-    (batch,) = maker.schedule(of, START_NS, packets, packets)
+    (batch,) = maker.schedule(of, START_NS, [range(packets)])
     shape = len(batch.firings.time_ns), 1 + of.dual
     range_m = np.sort(rng.uniform(0.5, 40.0, shape), axis=1)
     range_m[:, 0] -= 0.02 * of.dual
@@ -146,7 +146,7 @@ def test_near_returns_of_a_pandar128_have_their_own_times(tmp_path):
     of = mount("pandar128", "strongest")
     path = tmp_path / "drive.pcap"
     maker = codec(of.sensor)
-    (batch,) = maker.schedule(of, START_NS, 2, 2)
+    (batch,) = maker.schedule(of, START_NS, [range(2)])
     range_m = np.where(np.arange(512)[:, None] < 256, 2.849, 2.851)
     payloads = maker.encode(of, batch, range_m, np.full((512, 1), 9, np.uint8))
     write_pcap(path, [ethernet_frames(of.host, payloads)])

@@ -80,7 +80,7 @@ def test_any_bytes_are_read_as_a_second_decoder_reads_them(data_type):
 
 def test_a_point_by_hand():
     of = mount()
-    batch = next(codec(of.sensor).schedule(of, START_NS, 1, 1))
+    batch = next(codec(of.sensor).schedule(of, START_NS, [range(1)]))
     ahead = replace(batch.firings, encoder_rad=np.full(96, np.pi / 2), elevation_rad=np.full(96, np.pi / 6))
     range_m = np.full((96, 1), 10.0)
     payload = codec(of.sensor).encode(of, replace(batch, firings=ahead), range_m, np.full((96, 1), 7, np.uint8)).data[0]
@@ -93,7 +93,7 @@ def test_a_point_by_hand():
 def test_inertial_packets():
     of = mount()
     turning = Trajectory.static(np.eye(4))
-    (payloads,) = codec(of.sensor).housekeeping(of, turning, None, START_NS, 50_000_000)
+    (payloads,) = codec(of.sensor).housekeeping(of, turning, None, START_NS, range(50_000_000))
     assert (payloads.port, len(payloads.data), payloads.data.shape[1]) == (56401, 10, 60)
     for number, payload in enumerate(payloads.data):
         assert naive.checks(payload.tobytes())

@@ -24,7 +24,7 @@ ODD = (None, True, -1, 0, 3, 1e300, -1e300, float("nan"), "", "a", "LEGACY", [],
 def packets(one: Mount, number: int) -> tuple[Payloads, bytes]:
     """So many of them with returns everywhere, and their metadata."""
     family = codec(one.sensor)
-    batch = next(family.schedule(one, START_NS, number, number))
+    batch = next(family.schedule(one, START_NS, [range(number)]))
     count = len(batch.firings.time_ns)
     width = 1 + (one.return_mode == "dual")
     rng = np.random.default_rng(1)

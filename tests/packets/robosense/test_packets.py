@@ -124,7 +124,7 @@ def test_dual_returns_stand_where_the_manual_says(tmp_path, model, lasers):
     """In halves of a block (16 lasers), or in odd and even blocks (32): of one azimuth, which is the next firing's."""
     mounted = mount(model, return_mode="dual")
     maker = codec(load_sensor(model))
-    (batch,) = maker.schedule(mounted, 0, 3, 3)
+    (batch,) = maker.schedule(mounted, 0, [range(3)])
     count = len(batch.firings.laser)
     rng = np.random.default_rng(1)
     units = rng.integers(80, 60_000, (count, 2))
@@ -173,7 +173,9 @@ def test_headers_are_the_manuals(tmp_path):
 
 def test_from_0_to_360_degrees_is_all_around():
     maker = codec(load_sensor("helios-32"))
-    (whole,), (same,) = (maker.schedule(mount("helios-32", azimuth_fov_deg=fov), 0, 9, 9) for fov in (None, (0, 360)))
+    (whole,), (same,) = (
+        maker.schedule(mount("helios-32", azimuth_fov_deg=fov), 0, [range(9)]) for fov in (None, (0, 360))
+    )
     assert (whole.firings.time_ns == same.firings.time_ns).all()
 
 

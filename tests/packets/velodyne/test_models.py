@@ -18,7 +18,7 @@ from lidarcfg.packets.families import codec
 from lidarcfg.packets.velodyne import encode as encoding
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.packets.velodyne.model import unit as unit_of
-from lidarcfg.sensors.firing import Firings
+from lidarcfg.sensors.firing import Firings, spans
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from tests.capture_fixtures import AT_NS, decoded, mount, no_warning, recording
@@ -368,7 +368,7 @@ def test_a_sector_and_back(name, mode, tmp_path):
     dual = mode == "dual"
     packets = 250_000_000 // packet_period_ns(sensor, dual)  # two turns and a half
     lidar = replace(mount(), sensor=sensor, return_mode=mode, azimuth_fov_deg=(low, high))
-    chunks = [batch.firings for batch in codec(sensor).schedule(lidar, AT_NS, packets, 100)]
+    chunks = [batch.firings for batch in codec(sensor).schedule(lidar, AT_NS, spans(packets, 100))]
     flat = Firings(*(np.concatenate([getattr(c, key) for c in chunks]) for key in ("time_ns", "laser", "encoder_rad")))
     assert (flat.laser == np.arange(len(flat.laser)) % sensor.count).all()
     fired = shaped(sensor, flat, dual)
