@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,6 +163,15 @@ class PlaceCounts:
     cap: int
 
 
+class Decided(NamedTuple):
+    """What was measured of a rig, and the place that decides: the lowest, or that of the fraction asked for."""
+
+    mounts: Sequence[Mount]
+    measured: Measured
+    at: int  # the number of the place
+    value: int  # that is reached there
+
+
 class ObjectJudge(Judge):
     """Judges rigs by one object requirement: a verdict, or for searches ever greater lower bounds of the shortfall."""
 
@@ -191,40 +201,37 @@ class ObjectJudge(Judge):
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
         item = self.item
-        base, cap = self._base(mounts, on_places)
-        tried = self._refined(mounts, base, cap, on_places)
+        tried, cap = self._refined(mounts, on_places)
         counted = self._counted(tried)
-        at, whole = self._worst(counted)
-        value = whole
-        found = tuple(mounts)
-        notes = []
+        whole = worst = self._decided(mounts, counted)
+        notes = self.reach.notes(mounts)
         draws = self._drawn(mounts, tried, cap, on_places)
         if item.robust and draws:
-            number = item.robust.quantile_of(range(len(draws)), lambda n: draws[n][3])
-            if draws[number][3] < value:
-                found, counted, at, value = draws[number]
+            drawn = item.robust.quantile_of(draws, lambda one: one.value)
+            if drawn.value < whole.value:
+                worst = drawn
                 quantile = f"{item.robust.quantile:g} quantile of {item.robust.drawn} draws"
-                notes.append(f"with mounting errors, in the {quantile}; the rig as it is reaches {whole}")
-        place = counted.places[at]
+                notes.insert(0, f"with mounting errors, in the {quantile}; the rig as it is reaches {whole.value}")
+        place = worst.measured.places[worst.at]
         distance_m = float(item.stand.distance_m(place[None])[0])
         return RequirementVerdict(
             name=item.name,
             kind=KEY,
-            passed=value >= item.returns,
+            passed=worst.value >= item.returns,
             unit="returns",
             demanded=item.returns,
-            reached=value,
+            reached=worst.value,
             at_most=False,
-            shortfall=self._shortfall(tried.base, value),
+            shortfall=self._shortfall(tried.base, worst.value),
             worst=WorstPlace(
                 x_m=float(place[0]),
                 y_m=float(place[1]),
                 heading_deg=math.degrees(place[3]) % 360,
                 distance_m=distance_m if math.isfinite(distance_m) else None,
             ),
-            phases=tuple(counted.lowest.phases[at].tolist()),
-            lost=tuple(found[n].name for n in self.reach.lost_at(counted, at)),
-            breaking=self._breaking(self._counted(tried), mounts),
+            phases=tuple(worst.measured.lowest.phases[worst.at].tolist()),
+            lost=tuple(worst.mounts[n].name for n in self.reach.lost_at(worst.measured, worst.at)),
+            breaking=self._breaking(counted, mounts),
             fraction=self._fraction(tried.base) if item.at_least < 1 else None,
             sampling=Sampling(
                 places=len(tried.every.places),
@@ -233,60 +240,49 @@ class ObjectJudge(Judge):
                 finest_deg=round(math.degrees(tried.finest_rad), 9),
                 shadows=item.at_least == 1,
             ),
-            notes=(*notes, *self.reach.notes(mounts)),
+            notes=tuple(notes),
         )
 
     def refined(self, mounts: Sequence[Mount]) -> Refined:
         """The measurements that a verdict on a rig is of; of one just judged, as kept."""
-        return self._refined(mounts, *self._base(mounts))
-
-    def _base(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> tuple[Measured, int]:
-        """What a rig reaches at the base grid's places, exact below the cap, and that, which is above the lowest."""
-        cap = self.item.first_cap
-        base = self.reach.measured(mounts, cap, on_places)
-        while self._worst(base)[1] >= cap and cap < CAP_MAX:
-            cap *= CAP_FACTOR
-            base = self.reach.measured(mounts, cap)
-        return base, cap
+        return self._refined(mounts)[0]
 
     def _refined(
-        self,
-        mounts: Sequence[Mount],
-        base: Measured,
-        cap: int,
-        on_places: OnPlaces = no_progress,
-        stops: bool = False,
-    ) -> Refined:
-        """The base grid's counts, and those at places between: around the lowest, and in narrow shadows of the bodies.
+        self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress, stops: bool = False
+    ) -> tuple[Refined, int]:
+        """The base grid's counts, those at places between, and the cap below which the former are exact.
 
         Of mounts just looked at, as kept. With `stops` it ends once fewer returns than demanded are found.
         """
+        cap = self.item.first_cap
+        base = self.reach.measured(mounts, cap, on_places)
+        while self._decided(mounts, base).value >= cap and cap < CAP_MAX:
+            cap *= CAP_FACTOR
+            base = self.reach.measured(mounts, cap)
         if self._latest and self._latest[:2] == (tuple(mounts), cap):
-            return self._latest[2]
+            return self._latest[2], cap
         found = Refined(base, base, 0.0, 0.0)
         for found in self._refinement.rounds(mounts, base, on_places):
             if stops and found.every.values.min() < self.item.returns:
-                return found
+                return found, cap
         self._latest = tuple(mounts), cap, found
-        return found
+        return found, cap
 
     def _counted(self, tried: Refined) -> Measured:
         """The measurements that count: of a fraction, those of the base grid."""
         return tried.base if self.item.at_least < 1 else tried.every
 
-    def _worst(self, measured: Measured) -> tuple[int, int]:
-        """The place that decides, and what is reached there: the lowest, or that of the fraction asked for."""
+    def _decided(self, mounts: Sequence[Mount], measured: Measured) -> Decided:
+        """The place that decides of a rig."""
+        values = measured.values
         if self.item.at_least == 1:
-            at = int(measured.values.argmin())
-            return at, int(measured.values[at])
-        value = int(self.item.counted(measured.places, measured.values).min())
-        worst, by_position = positions(measured.places, measured.values)
-        return int(worst[np.flatnonzero(by_position == value)[0]]), value
+            return Decided(mounts, measured, int(values.argmin()), int(values.min()))
+        value = int(self.item.counted(measured.places, values).min())
+        lowest, by_position = positions(measured.places, values)
+        return Decided(mounts, measured, int(lowest[np.flatnonzero(by_position == value)[0]]), value)
 
-    def _drawn(
-        self, mounts: Sequence[Mount], tried: Refined, cap: int, on_places: OnPlaces
-    ) -> list[tuple[tuple[Mount, ...], Measured, int, int]]:
-        """For each draw of mounting errors the rig, what was measured, the place that decides and what is reached."""
+    def _drawn(self, mounts: Sequence[Mount], tried: Refined, cap: int, on_places: OnPlaces) -> list[Decided]:
+        """What decides in each draw of mounting errors; the refined places are the lowest of the rig as it is."""
         refined = tried.every.places[len(tried.base.places) :]
         refined = refined[lowest_of(tried.every.values[len(tried.base.places) :])]
         out = []
@@ -296,7 +292,7 @@ class ObjectJudge(Judge):
                 more = np.concatenate([refined, self._refinement.shadowed(off)])
                 if len(more):
                     measured = measured.joined(self.reach.measured_at(more, off, cap))
-            out.append((off, measured, *self._worst(measured)))
+            out.append(self._decided(off, measured))
         return out
 
     def _shortfall(self, base: Measured, value: int) -> float:
@@ -374,7 +370,7 @@ class ObjectJudge(Judge):
             unit="returns",
             demanded=item.returns,
             at_most=False,
-            whole=self._worst(counted)[1],
+            whole=self._decided(mounts, counted).value,
             without=without,
             off=off,
             where_lost="where there are then the fewest returns" if clusters else "",
@@ -512,7 +508,7 @@ class ObjectJudge(Judge):
         """
         if self.item.at_least < 1:
             return NO_PLACES
-        return self._failing(self._refined(mounts, *self._base(mounts), stops=True).every)
+        return self._failing(self._refined(mounts, stops=True)[0].every)
 
     def _failing(self, tried: Measured) -> Array:
         """(n, 4) the places with too few returns, the worst first, no more than may join."""
