@@ -137,6 +137,7 @@ def test_commands_refuse_what_memory_does_not_hold(tmp_path, monkeypatch, words,
     assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["rig.yaml", "study.yaml"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "kind", "what"),
     [

@@ -171,6 +171,7 @@ def test_the_live_source_of_ouster_sdk(tmp_path, firmware):
     assert cKDTree(cloud.xyz).query(xyz)[0].max() < 1e-5
 
 
+@pytest.mark.slow
 @needs_port_80
 def test_settings_of_an_ouster(all_makers):
     """Through ouster-sdk: what a capture can follow is taken over, other settings are the sensor's error, and told."""

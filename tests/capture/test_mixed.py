@@ -178,6 +178,7 @@ def test_deskewed_points_lie_on_the_street(rig, driven):
         assert np.quantile(distance(at_start[some]), 0.9) > 0.03
 
 
+@pytest.mark.slow
 def test_noise_is_that_of_the_ground_truth(rig, still, tmp_path):
     """Along each beam, whatever the maker: the point moves by the noise that the truth says, to half a step each."""
     noisy = replace(
@@ -318,6 +319,7 @@ def test_default_ports_are_the_makers(rig):
     assert ports["vlp-16"] == (2368, 8308)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["missing", "twice", "overlapping", "out of order"])
 def test_an_ousters_fragments(still, tmp_path, change):
     """One datagram of its nine-fragment packets is lost or told twice; no other packet of anybody changes."""

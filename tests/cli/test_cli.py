@@ -142,6 +142,7 @@ def test_quiet_commands_print_nothing(out, tmp_path):
         assert (done.stdout, done.stderr) == ("", "")
 
 
+@pytest.mark.slow
 def test_the_catalogue():
     assert "vlp-16" in run("sensors").stdout
     assert run("sensors", "list").stdout == run("sensors").stdout
@@ -265,6 +266,7 @@ cli.main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "then",
     [
@@ -349,12 +351,14 @@ def test_a_reader_that_goes_away_is_no_error():
     assert done.returncode in (0, 128 + signal.SIGPIPE)
 
 
+@pytest.mark.slow
 def test_the_shortest_budget_still_gives_a_rig(tmp_path, blank_pictures):
     done = run("optimize", STUDY, "-o", tmp_path, "--seconds", "1e-9", "--quiet")
     assert done.stderr == ""
     assert json.loads((tmp_path / "result.json").read_text())["interrupted"] is False
 
 
+@pytest.mark.slow
 def test_a_budget_in_seconds_cuts_a_large_swarm(tmp_path, blank_pictures):
     study = tmp_path / "s.yaml"
     study.write_text(Path(STUDY).read_text().replace("bees: 200", "bees: 100000"))
@@ -450,6 +454,7 @@ def test_a_picture_is_a_png(tmp_path):
     assert "a.jpg' does not end in .png" in one_line("sensors", "show", "vlp-16", "--png", tmp_path / "a.jpg")
 
 
+@pytest.mark.slow
 def test_odd_environments():
     """matplotlib refuses to load where it does not know the backend, as one of another program's may be."""
     load = "import sys; from lidarcfg.cli.main import main\ntry: main()\nexcept SystemExit: import matplotlib"

@@ -98,6 +98,7 @@ def test_a_schema_finds_what_our_reader_refuses(validators, file, change):
     assert list(validators[kind_by_folder(ROOT / file)].iter_errors(changed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TEMPLATES)
 def test_a_template_is_valid_with_and_without_what_is_optional(tmp_path, kind):
     (path,) = write_template(kind, tmp_path / "folder" / f"my-{kind}.yaml")
@@ -255,6 +256,7 @@ def study(tmp_path, *changes, exclude="", constraints=""):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "exclude", "what"),
     [

@@ -199,6 +199,7 @@ def test_a_message_is_a_scan(capture):
             assert before.time_ns.max() < after.time_ns.min()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [1, 5, 100])
 def test_scans_whatever_the_chunks(capture, chunk):
     def ordered(found):
@@ -317,6 +318,7 @@ def spoilt(capture, path):
     write_datagrams(path, datagrams)
 
 
+@pytest.mark.slow
 def test_whole_or_not_at_all(capture, tmp_path):
     spoilt(capture, tmp_path / "bad.pcap")
     save_bag(tmp_path / "bag", capture, "sqlite3", named_rig(), None, lambda warning: None)

@@ -94,6 +94,7 @@ def test_las_and_back(tmp_path, suffix):
     assert abs(again.xyz - back.xyz).max() < 2e-9
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(*[st.floats(-2e5, 2e5)] * 3), min_size=1, max_size=20),
     st.tuples(*[st.floats(-1e8, 1e8)] * 3),
@@ -160,6 +161,7 @@ def test_the_same_cloud_gives_the_same_bytes(tmp_path):
         assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
 
 
+@pytest.mark.slow
 def test_every_way_between_clouds(tmp_path):
     """All formats hold positions and intensities; what is kept depends on the poorer of the two."""
     ours = timed()

@@ -99,6 +99,7 @@ def sensor_pose(folder, name):
     return next(mount.T_vehicle_sensor for mount in load_rig(folder / "rig.yaml").mounts if mount.name == name)
 
 
+@pytest.mark.slow
 def test_each_point_has_the_object_that_it_is_on(scene, world):
     names, time_ns, xyz = world
     assert set(names) == set(LABELS)
@@ -237,6 +238,7 @@ def judge(name, monkeypatch, *absent):
         return importlib.import_module(name)
 
 
+@pytest.mark.slow
 def test_kitti_odometry(folder, world, monkeypatch):
     """pykitti loads both sequences; points, moved by its poses and calibration, are those of the world."""
     path = exported(folder, "odometry", "--to", "kitti-odometry")

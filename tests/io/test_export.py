@@ -41,6 +41,7 @@ def test_it_is_what_the_command_writes(tmp_path, name, loaded):
     assert (ours / name).stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_a_capture_is_one_cloud(tmp_path):
     """That which the command decodes, in the frames of the vehicle or of the sensors."""
     lidarcfg.export(RIG, STREET, tmp_path / "a.pcap", duration_s=0.02, at=np.diag([-1.0, -1, 1, 1]))

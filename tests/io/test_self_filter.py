@@ -102,6 +102,7 @@ def test_the_box_holds_the_body(here):  # noqa: F811
     assert values["input_frame"] == "base_link"
 
 
+@pytest.mark.slow
 def test_windows_of_a_rig(here):  # noqa: F811
     rig = ROOT / "data/rigs/mixed.yaml"
     done = run(rig, "--vehicle", SEDAN, "--to", "azimuth-windows", "-o", "w.json")

@@ -19,6 +19,8 @@ from lidarcfg.vsr.spheres import largest_spheres
 from tests.command_line import lidarcfg
 from tests.report.test_report import STUDY, read
 
+pytestmark = pytest.mark.slow
+
 OBJECTS = "detection:\n  - {name: box, size_m: [1, 1, 0.5]}\n  - {name: '<i>&', size_m: [1, 1, 2], on_ground: true}\n"
 RIG = "name: {name}\nsensors:\n"
 SENSOR = "  - {{name: s{n}, elevation_deg: {beams}, position_m: [{x}, 4, 2.5], rpy_deg: [{roll}, 0, 0], data_port: {port}}}\n"

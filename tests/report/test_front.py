@@ -16,6 +16,8 @@ from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.study import load_study, with_solver
 from tests.command_line import lidarcfg, without_drawing
 
+pytestmark = pytest.mark.slow
+
 STUDY = """region: {min_m: [0, 0, 0], max_m: [8, 6, 3], cuboid_m: [1, 0.5, 0.5]}
 prices: {fan-4: 100, fan-8: 250, fan-16: 900}
 sensors:

@@ -15,6 +15,8 @@ from tests.command_line import lidarcfg
 from tests.report.test_report import read
 from tests.studies import study_of
 
+pytestmark = pytest.mark.slow
+
 STUDY = """
 region: {min_m: [-4, -3, 0], max_m: [4, 3, 2], cuboid_m: [1, 1, 0.5]}
 sensors:
@@ -132,7 +134,6 @@ def cell(one):
     return f"{100 * one['share']:.2f} % ({100 * low:.2f} … {100 * high:.2f})"
 
 
-@pytest.mark.slow
 def test_the_report_begins_with_what_is_missed(folder):
     """Each number of the table and the first tile are those of result.json."""
     result = json.loads((folder / "out/result.json").read_text())
@@ -185,7 +186,6 @@ def test_an_evaluation_beside_the_midpoint(folder):
         assert f"{one.title}: misses {100 * one.misses.mean:.2f} %" in svg
 
 
-@pytest.mark.slow
 def test_a_sweep_has_a_column(folder):
     (folder / "p.yaml").write_text("study: s.yaml\nvary: {solver.seed: [1]}\n")
     lidarcfg("sweep", "p.yaml", "-o", "sweep", cwd=folder)

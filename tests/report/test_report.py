@@ -27,6 +27,8 @@ from lidarcfg.study.study import load_study
 from tests.chromium import LACKING, asked_for, browser, complaints
 from tests.command_line import lidarcfg
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 NAMES = [
     "<script>alert('x')</script> & \"q\" $\\frac$",
@@ -165,7 +167,6 @@ def runs(study, found, tmp_path_factory):
     return folders
 
 
-@pytest.mark.slow
 def test_the_page_says_what_result_json_says(runs):
     page = read((runs[0] / "report.html").read_text())
     result = json.loads((runs[0] / "result.json").read_text())
@@ -210,7 +211,6 @@ vehicle:
 """
 
 
-@pytest.mark.slow
 def test_what_no_sensor_sees_is_said_and_drawn(tmp_path):
     """As result.json has them; the same in a comparison, which marks the rig that sees more."""
     study = make(tmp_path, STUDY.replace("sensors:", VEHICLE + "sensors:"))
@@ -333,7 +333,6 @@ def test_no_angle_is_minus_nothing(tmp_path, capsys):
     assert " -0.00" not in capsys.readouterr().out
 
 
-@pytest.mark.slow
 def test_mount_surfaces_are_said_and_drawn(tmp_path):
     """Which coordinate follows from the body, and a panel for each side that sensors are on."""
     mounts = """

@@ -17,6 +17,8 @@ from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.study import load_study, with_solver
 from lidarcfg.vsr.detection import mean_of
 
+pytestmark = pytest.mark.slow
+
 STUDY = """
 region: {min_m: [-4, -3, 0], max_m: [4, 3, 2], cuboid_m: [1, 1, 0.5]}
 sensors:
@@ -54,7 +56,6 @@ def study_of(folder, method, objective, without="none"):
     return load_study(path)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "objective"),
     [case for case in itertools.product(METHODS, OBJECTIVES) if case[1] != "misses"] + [("annealing", "misses")],

@@ -212,6 +212,7 @@ def test_frames_are_an_exports(name, models, speed_km_h, rpms, sedan):
     assert clustered.shortfall >= found.shortfall or found.shortfall > 0
 
 
+@pytest.mark.slow
 def test_skipping_beams_changes_nothing(sedan, monkeypatch):
     """All beams are fired: the same returns."""
     scenario = load_scenario("cpnco")
@@ -285,6 +286,7 @@ def test_all_presets_are_whole(sedan, request):
         assert found.worst.worst.margin_s <= found.worst.sight_margin_s
 
 
+@pytest.mark.slow
 def test_a_mesh_is_a_target(sedan):
     """The child of data/objects instead of the box, which is larger: fewer returns, at the same place."""
     scenario = load_scenario("cpra-child")

@@ -86,6 +86,7 @@ def test_the_verdict_in_seconds(files):
     )
 
 
+@pytest.mark.slow
 def test_what_no_rig_can_do(files):
     """Comfortably, the child comes into sight too late, from all places that are tried, which proves nothing; and nothing
     is said of it where a rig does it all the same.

@@ -316,6 +316,7 @@ def test_nothing_throws_no_shadow():
     assert places.shape == (0, 2)
 
 
+@pytest.mark.slow
 def test_a_fence_adds_no_more_than_the_most():
     """60 pickets throw thousands of narrow shadows."""
     pickets = [bar((0.03 * n + 1.0, y, 1.0), (0.01, 0.01, 1.0), (0, 0, 0)) for n in range(30) for y in (0.0, 0.5)]

@@ -10,6 +10,8 @@ from scipy.stats import spearmanr
 from lidarcfg.study.study import load_study
 from lidarcfg.vsr.metric import max_vsr
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 JUDGED = json.loads((ROOT / "data/reference/learned_judge.json").read_text())
 RIGS = JUDGED["rigs"]
@@ -26,7 +28,6 @@ def found(study):
     return [study.misses.found(study.rig(np.array(one["poses"])).mounts) for one in RIGS]
 
 
-@pytest.mark.slow
 def test_the_fewer_misses_the_better_the_detector_sees(found):
     """By our objects and our engine, which are not those of the detector's clouds."""
     assert spearmanr([one.mean for one in found], MAP).statistic <= -0.95

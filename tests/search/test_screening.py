@@ -21,6 +21,7 @@ def study(tmp_path):
     return write
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [0, 1])
 def test_a_screen_and_trials_agree(study, lost):
     """Without failures the shortfalls are those of trials; the worst place is that of counts by plain loops."""

@@ -168,6 +168,7 @@ def test_searches_that_choose_begin_with_a_start(study):
     assert points.log.records[[o.name for o in distinct_combinations(study(ordinary))].index(dearest.name)] is not None
 
 
+@pytest.mark.slow
 def test_the_command_begins_with_rigs(tmp_path, blank_pictures):
     (tmp_path / "study.yaml").write_text(BOX)
     one = load_study(tmp_path / "study.yaml")

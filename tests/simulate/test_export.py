@@ -132,6 +132,7 @@ def assert_as_elsewhere(path, other_path=None, azimuth_deg=0.025, **options):
     return ours
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1])
 def test_another_decoder_sees_the_same(street, tmp_path, index):
     rig = tilted_rig()

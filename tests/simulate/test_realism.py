@@ -182,6 +182,7 @@ def test_mistakes(here, words, match):
     assert not (here / "a.pcap").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "words", "name"), [(100_000, (), "a.pcap"), (1_500_000, ("--truth", "t.npz"), "t.npz")]
 )
@@ -203,6 +204,7 @@ def test_a_full_disk_is_one_line(here, size, words, name):
     assert sorted(path.name for path in here.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_streams_are_made_as_they_are_read(street):
     """The first datagram of a day comes after a chunk is cast, not after the day."""
     done = []

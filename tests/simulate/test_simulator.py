@@ -45,6 +45,7 @@ def simulator(tmp_path, sensor, motion, text=ROOM, **mounted):
     return Simulator(0, one, Tracer(scene(tmp_path, text), trajectory.T_world_start[:3, 3], START_NS), trajectory)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("name", ["vlp-16", "hdl-64e-s3"])
 def test_rays_are_where_poses_and_angles_say(tmp_path, motion, name):

@@ -85,6 +85,7 @@ def rays_of(records, rig, trajectory):
     return np.array(out, np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_returns_of_the_body_are_where_open3d_casts_them(tmp_path, sedan, motion):
     """Of 200 records, ray by ray with the body at that ray's time: object and range of those on the body."""

@@ -29,6 +29,7 @@ def history(found):
     return [(c.cycle, c.evaluations, c.best, c.mean) for c in found.history]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "beams", "limit", "seed"),
     [

@@ -206,6 +206,7 @@ def test_coordinates_along_one_axis_within_equal_bounds_mean_the_same(tmp_path):
         assert (found.kind[i] == found.kind[j]) == alike
 
 
+@pytest.mark.slow
 def test_mirrored_pairs_move_together(tmp_path):
     small = study(tmp_path, MIRRORED)
     assert small.free.sum() == 5 + 1

@@ -41,6 +41,7 @@ def study(folder, vehicle, *groups, more="solver: {evaluations: 200}\n"):
     return study_of(folder, f"{REGION}{vehicle}sensors:\n{sensors}{more}")
 
 
+@pytest.mark.slow
 def test_plain_rigs_are_as_far_out_as_their_surfaces_allow():
     """On the saloon's roof and fenders the ends of the bounds are beside the body."""
     loaded = load_study(shipped("data") / "studies" / "mounts.yaml")
@@ -193,6 +194,7 @@ def test_a_tilt_that_a_surface_does_not_allow_is_refused_at_once(tmp_path):
         assert ((loaded.violation(random(loaded, 20)) == 0) == kept).all()
 
 
+@pytest.mark.slow
 def test_a_pair_sits_on_both_sides(tmp_path):
     """Each on its own side of the car, whose halves differ by a millimetre; on a box, exact images."""
     group = on("body", "left", (1.2, 0.5, 0.5), (2.1, 1.1, 0.8)) + ", count: 2, mirror_y_m: 0, yaw_deg: [0, 90]"
@@ -303,6 +305,7 @@ def test_a_search_stays_on_the_surface(tmp_path):
         assert naive.sits(corners, [0] * len(corners), 0, surface.side, base, *args)
 
 
+@pytest.mark.slow
 def test_the_resolved_study_says_the_same(tmp_path):
     loaded = study(tmp_path, CAR, on("body", "left", (1.2, 0.5, 0.5), (2.1, 1.1, 0.8)) + ", yaw_deg: [0, 90]")
     again = tmp_path / "again.yaml"

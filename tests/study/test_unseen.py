@@ -100,6 +100,7 @@ def test_skipping_changes_no_search(boxed, objective, method, budget):
     assert study.cost(poses) == runs[0].objective
 
 
+@pytest.mark.slow
 def test_the_objective_is_what_the_evaluation_says(boxed):
     study = boxed(OBJECTIVES[2])
     poses = study.poses(np.full((1, int(study.free.sum())), 0.3))[0]

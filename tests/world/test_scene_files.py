@@ -373,6 +373,7 @@ def test_points_of_any_file_are_the_same(tmp_path):
         np.testing.assert_array_equal(read_points(tmp_path / name)[1], up / 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "radius", "message"),
     [

@@ -55,6 +55,7 @@ def test_first_hits_are_those_of_all_triangles(size):
     np.testing.assert_allclose(hits.range_m, range_m, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_first_hits_are_open3ds():
     """But for float32: where they differ by more than a millimetre, the loop over all triangles shows Open3D's error."""
     rng = np.random.default_rng(2)

@@ -18,6 +18,7 @@ FIELDS = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("intensity", 12, 7), ("ring", 
 STAMPED = np.dtype([("xyz", "<f4", 3), ("intensity", "<f4"), ("ring", "<u2"), ("timestamp", "<f8")])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["pandar-xt16", "ot128"])
 def test_fields_as_the_makers_drivers_publish_them(model, tmp_path):
     mounts = (hesai(model), mount(1))

@@ -67,6 +67,7 @@ def test_mutated_metadata():
     assert all(one.startswith("a.json: not the metadata of an Ouster: ") and "\n" not in one for one in messages)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["RNG19_RFL8_SIG16_NIR16", "LEGACY", "FUSA_RNG15_RFL8_NIR8_DUAL"])
 def test_mutated_packets(tmp_path, profile):
     one = mount(dual="DUAL" in profile, profile=profile, firmware="3.2", columns=512)

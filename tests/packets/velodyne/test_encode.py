@@ -216,6 +216,7 @@ def test_models_without_headers(tmp_path):
 PPS = vd.TelemetryPacket.PpsStatus
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "pps", "status", "sentence"),
     [
