@@ -5,8 +5,8 @@ rig into words, `table` is the model of all tables, which `terminal` prints and 
 has those of an evaluated rig. `canvas` has the style of drawings; `plots` (PNG), `mounts`, `drawings`, `blind_spots`
 draw a part each; `misses` is what a report begins with: what rigs miss, side by side. `document` is the report of one
 rig, `comparison` of several, `front` of price against objective, `cheapest` of the combinations searched for the
-cheapest rig. `results` writes the folder of a search, `sweep` that of many. A verdict on requirements is a table in
-`verdict` and a page in `verification`, with drawings from `evidence` and `scenario`. `tables` and `sensors` print on
+cheapest rig. `results` writes the folder of a search and its `search_log`, `sweep` that of many. A verdict is a table
+in `verdict` and a page in `verification`, with drawings from `evidence` and `scenario`. `tables` and `sensors` print on
 the terminal, and `summaries` says in one line what a file is.
 
 `__init__.pyi` lists the names. Each loads its module on first use, so a list of sensors loads no reports.

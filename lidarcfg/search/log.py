@@ -14,7 +14,7 @@ Places = Mapping[int, Array]  # (n, 4) by the number of a requirement
 
 @dataclass(frozen=True)
 class Check:
-    """What verifying the best rig of a search found, or drawing places, once so many costs were known."""
+    """What verifying the best rig of a search found, or drawing places, once so many costs had been told."""
 
     told: int
     passed: bool

@@ -173,7 +173,9 @@ class RequirementsRun(MissesRun):
         draws = not self._meets and self.evaluations >= self._next_draw
         if draws:
             self._next_draw = self.evaluations + DOUBLED_EVERY * len(self.best_x)
-        check = self._recorded.get(self._count)
+        check = self._recorded.get(self._count + self._cut_short) or self._recorded.get(self._count)
+        if check and check.passed and check.told != self._count + self._cut_short:
+            check = None
         if check is None and not self.is_replaying:
             check = self._checked() if self._is_due(budget) else self._drawn() if draws else None
         if check:
@@ -183,11 +185,8 @@ class RequirementsRun(MissesRun):
 
     @property
     def _count(self) -> int:
-        """How many costs are known, those of the log only as far as they are replayed.
-
-        After a batch that was cut short it is none that a resumed search, which asks for all of it, ever has.
-        """
-        return sum(map(len, self._told)) - len(self._replay) + self._cut_short
+        """How many costs were told, those of the log only as far as they are replayed."""
+        return sum(map(len, self._told)) - len(self._replay)
 
     def _is_due(self, budget: Budget) -> bool:
         """Whether the best rig is to be verified now: the first that meets all at once."""
@@ -228,7 +227,10 @@ class RequirementsRun(MissesRun):
         if missed := next(filter(None, map(self._first, looks)), None):
             return Check(self._count, False, missed)
         found = self.verdict_on(self.best_x)
-        return Check(self._count, found.passed, {} if found.passed else self._failing(found))
+        if not found.passed:
+            return Check(self._count, False, self._failing(found))
+        # A search that is resumed asks for all of a batch that was cut short, never has so many costs, and looks anew.
+        return Check(self._count + self._cut_short, True, {})
 
     def _mounts(self, x: Array) -> Sequence[Mount]:
         """Those of the rig at a point."""
