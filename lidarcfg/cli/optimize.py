@@ -130,9 +130,9 @@ def optimize(
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
         from lidarcfg.report.comparison import print_comparison, with_baseline
-        from lidarcfg.report.document import Commands
+        from lidarcfg.report.printing import print_placement
         from lidarcfg.report.results import RESULTS, check_writable, load_log, save_placement
-        from lidarcfg.report.tables import print_placement
+        from lidarcfg.report.rig_report import Commands
         from lidarcfg.search.achievable import unachievable
         from lidarcfg.study.checks import study_warnings
         from lidarcfg.study.study import load_study, with_solver
@@ -293,10 +293,10 @@ def _find_cheapest(
         save_cheapest_progress,
         save_combinations,
     )
-    from lidarcfg.report.document import Commands
     from lidarcfg.report.inputs import report_inputs
+    from lidarcfg.report.printing import print_placement
     from lidarcfg.report.results import RESULTS, check_writable, save_placement
-    from lidarcfg.report.tables import print_placement
+    from lidarcfg.report.rig_report import Commands
     from lidarcfg.search.cheapest import cheapest
     from lidarcfg.search.workers import Cluster
 
@@ -361,9 +361,9 @@ def _find_front(
     """Search the study read from `path`, write the folder, print the table. Exits with 130 after Ctrl-C."""
     import time
 
-    from lidarcfg.report.document import Commands
     from lidarcfg.report.front import load_front_logs, print_front, save_front, save_front_log
     from lidarcfg.report.results import FRONT, check_writable
+    from lidarcfg.report.rig_report import Commands
     from lidarcfg.search.combinations import combinations
     from lidarcfg.search.front import front
 

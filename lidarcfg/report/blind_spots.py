@@ -20,8 +20,8 @@ from lidarcfg.report.canvas import (
     thinned,
 )
 from lidarcfg.report.evidence import draw_body, draw_posts, finish_map
-from lidarcfg.report.html import KeyFigure
 from lidarcfg.report.table import Cell, Column, Table
+from lidarcfg.report.text import MANY
 from lidarcfg.requirements.post_visibility import AZIMUTHS, WIDTH_M, PostVisibility
 from lidarcfg.requirements.post_visibility import STEP_M as POST_STEP_M
 from lidarcfg.sensors.rig import Rig
@@ -33,17 +33,7 @@ if TYPE_CHECKING:
 
 MAP = "magma_r"
 MARGIN_M = 0.5  # shown around the posts
-
-
-def post_figure(posts: PostVisibility) -> KeyFigure:
-    """The blind spot for a post in a summary."""
-    value = "never seen at some azimuths"
-    if np.isfinite(posts.first_seen_m[posts.known]).all():
-        value = f"seen from {np.nanmax(posts.first_seen_m):.2f} m on"
-    gap_m = float(np.nanmax(posts.longest_gap_m))
-    beyond = f"longest gap beyond {gap_m:.2f} m" if gap_m else "no gap beyond"
-    detail = f"from the body, at the worst azimuth, within {posts.limit_m:g} m; {beyond}"
-    return KeyFigure(f"Blind spot, a post of {posts.height_m:g} m", value, detail)
+FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
 
 
 def posts_table(found: Sequence[PostVisibility]) -> Table:
@@ -108,10 +98,13 @@ def draw_posts_by_height(body: Footprint, rig: Rig, found: Sequence[PostVisibili
 
 
 def volumes_table(seen_by_m3: Array) -> Table:
-    """The volume by the number of LiDARs that see it (LiDARs + 1,)."""
+    """The volume by the number of LiDARs that see it (LiDARs + 1,); of very many LiDARs, FEW or more are one row."""
     total = float(seen_by_m3.sum())
-    rows = [[n, volume, volume / total] for n, volume in enumerate(seen_by_m3.tolist())]
-    columns = [Column("LiDARs", ",.0f"), Column("volume", ",.2f", "m³"), Column("part", ".2%")]
+    volumes: list[tuple[str, float]] = [(f"{n}", volume) for n, volume in enumerate(seen_by_m3.tolist())]
+    if len(volumes) > MANY + 1:
+        volumes = [*volumes[:FEW], (f"{FEW} or more", float(seen_by_m3[FEW:].sum()))]
+    columns = [Column("LiDARs"), Column("volume", ",.2f", "m³"), Column("part", ".2%")]
+    rows = [[name, volume, volume / total] for name, volume in volumes]
     return Table("The region's volume by the number of LiDARs that see it", columns, rows)
 
 

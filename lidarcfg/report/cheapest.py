@@ -13,8 +13,8 @@ from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.geometry import Array
 from lidarcfg.report.describe import counted, price
-from lidarcfg.report.document import ChoicePart
 from lidarcfg.report.results import FRONT, RESULTS, fingerprint
+from lidarcfg.report.rig_report import ChoicePart
 from lidarcfg.report.table import COUNT, NOTHING, PRICE, Cell, Column, Table, named
 from lidarcfg.report.terminal import print_table, terminal
 from lidarcfg.report.text import truncate

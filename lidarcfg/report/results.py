@@ -17,9 +17,10 @@ from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.geometry import Array
-from lidarcfg.report.document import Baseline, ChoicePart, Commands, report
+from lidarcfg.report.drawings import draw_rig
 from lidarcfg.report.inputs import ReportInputs
-from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
+from lidarcfg.report.plots import draw_convergence, save_figure
+from lidarcfg.report.rig_report import Baseline, ChoicePart, Commands, report
 from lidarcfg.report.verification import verdict_page
 from lidarcfg.requirements.post_visibility import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
