@@ -64,7 +64,10 @@ def key_figures(
         *_misses(found),
         _figure("sensors", COUNT, len(rig.mounts)),
         _figure("beams", COUNT, beams(rig)),
-        *_max_vsr(rig, found, midpoint_max_vsr_m),
+        *(
+            one if has_cones(rig) else replace(one, detail="", is_main=False)
+            for one in _max_vsr(rig, found, midpoint_max_vsr_m)
+        ),
         *_detection(study, found),
         *(figure for posts in found.posts for figure in _posts(posts)),
         *(_sight(found) if study.visibility else []),
@@ -110,11 +113,9 @@ def _misses(found: Evaluation) -> Iterator[KeyFigure]:
 def _max_vsr(rig: Rig, found: Evaluation, midpoint_m: float | None) -> Iterator[KeyFigure]:
     """How large the gaps between beams are, the paper's measures."""
     worst = found.worst[0]
-    known = has_cones(rig)
     largest = beams_alone(rig) or f"the paper's measure: the largest of {len(found.subspaces):,} subspaces"
     midpoint = "" if midpoint_m is None else f"; {midpoint_m:.6f} m at the midpoint of the bounds"
-    detail = f"{largest}{midpoint}" * known
-    yield _figure("max VSR", ".6f", found.max_vsr_m, -1, unit="m", detail=detail, is_main=known)
+    yield _figure("max VSR", ".6f", found.max_vsr_m, -1, unit="m", detail=f"{largest}{midpoint}", is_main=True)
     if found.extrapolated:
         yield extrapolated_figure(found.extrapolated)
     for zone in found.zones:
@@ -123,8 +124,8 @@ def _max_vsr(rig: Rig, found: Evaluation, midpoint_m: float | None) -> Iterator[
         yield from _robustness(found.robustness)
     yield _figure("subspaces", COUNT, len(found.subspaces))
     yield _figure("volume of the worst", ".2f", worst.volume_m3, -1, unit="m³")
-    at = f"of the largest sphere in the worst subspace, at {vector(worst.centroid_m, '.1f')} m" * known
-    yield _figure("inner radius of the worst", ".3f", worst.inscribed_radius_m, -1, unit="m", detail=at, is_main=known)
+    at = f"of the largest sphere in the worst subspace, at {vector(worst.centroid_m, '.1f')} m"
+    yield _figure("inner radius of the worst", ".3f", worst.inscribed_radius_m, -1, unit="m", detail=at, is_main=True)
     yield _figure("largest inner radius of any", ".3f", found.sphere_m, -1, unit="m")
 
 

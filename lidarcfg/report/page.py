@@ -41,11 +41,6 @@ def page(
     return _environment().get_template("page.html").render(values, verdict=verdict)
 
 
-def paragraphs(*parts: Part) -> Markup:
-    """Parts below each other."""
-    return _part("parts", parts)
-
-
 def facts(rows: FactRows) -> Markup:
     """What each of some things is."""
     return _part("facts", rows)

@@ -43,7 +43,7 @@ from lidarcfg.report.misses import (
     rigs_seen,
     worst_object,
 )
-from lidarcfg.report.mounts import draw_mounts, draw_surfaces
+from lidarcfg.report.mounts import MOUNTS_CAPTION, draw_mounts, draw_surfaces
 from lidarcfg.report.page import FactRows, Part, Section, bullets, code, facts, figure, page
 from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.table import Column, Table, with_baseline
@@ -237,11 +237,7 @@ def _rig(it: _Reported) -> Iterator[Part]:
         if ends := at_bounds(study, poses):
             yield "These coordinates are at their bounds; a wider bound may give a better rig:"
             yield bullets(ends)
-    yield figure(
-        draw_mounts(study, rig),
-        "The sensors by number. Arrows: their axes, towards the sensor's top. Dashed: the study's bounds. Grey: "
-        "excluded from the region.",
-    )
+    yield figure(draw_mounts(study, rig), MOUNTS_CAPTION)
     if any(slot.surface for slot in study.slots):
         yield figure(
             draw_surfaces(study, rig),
@@ -258,7 +254,9 @@ def search_facts(study: Study, placement: Placement) -> FactRows:
         ("evaluations", f"{placement.evaluations:,}{beside}, in {placement.history[-1].cycle:,} cycles"),
         ("seconds", f"{placement.seconds:.1f}"),
     ]
-    if not study.only_required:
+    if study.only_required:
+        rows.append(("least margin", f"{placement.objective:+.2%} of what is demanded"))
+    else:
         fresh = ", at fresh places" if placement.believed else ""
         rows.append((f"objective of the best rig{fresh}", f"{placement.objective:.6f}"))
     if told := placement.believed:

@@ -9,7 +9,7 @@ from lidarcfg import __version__
 from lidarcfg.report.describe import date, describe_rig
 from lidarcfg.report.evaluation import mounts_table
 from lidarcfg.report.evidence import draw_frames, draw_map, draw_views, map_caption
-from lidarcfg.report.mounts import draw_mounts
+from lidarcfg.report.mounts import MOUNTS_CAPTION, draw_mounts
 from lidarcfg.report.page import Part, Section, figure, heading, page, verdict_box
 from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.table import Cell, Column, Row, Table, named
@@ -97,11 +97,7 @@ def verdict_page(
         "Counts are the simulator's, without noise: beams of one revolution, each sensor in its worst phase, also with "
         "sensors lost where the requirement asks for it."
     )
-    drawn = figure(
-        draw_mounts(study, rig),
-        "The sensors by number. Arrows: their axes, towards the sensor's top. Dashed: the study's bounds. Grey: "
-        "excluded from the region.",
-    )
+    drawn = figure(draw_mounts(study, rig), MOUNTS_CAPTION)
     files = {"The complete study, with defaults": study.file, "The rig as a file": rig_to_dict(rig)}
     return page(
         f"Verdict: {rig.name}",
