@@ -1,23 +1,21 @@
 """Blind spots in a report, by posts around the vehicle; and what no sensor sees whatever its beams."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
 
 from lidarcfg.geometry import Array
 from lidarcfg.report.canvas import (
-    EXCLUDED,
     LABELS_IN,
     WIDTH_IN,
+    draw_values,
     drawing,
-    extent,
     height_in,
     panels,
     panels_in,
     sensor_dots,
-    thinned,
 )
 from lidarcfg.report.evidence import draw_body, draw_posts, finish_map
 from lidarcfg.report.table import Cell, Column, Table
@@ -113,18 +111,15 @@ def draw_unseen(subspaces: Subspaces, rig: Rig) -> Markup:
     region = subspaces.region
     blind = (subspaces.seen_by == 0) & region.included
     metres = np.where(region.included.any(axis=2), blind.sum(axis=2) * region.cuboid_m[2], np.nan)
-    around = extent(region, "top")
     size = region.max_m - region.min_m
     tall = float(np.clip((WIDTH_IN - LABELS_IN) * size[1] / size[0], 1.4, 3.5))
 
     def draw(figure: "Figure") -> None:
         axes = figure.subplots()
-        look: dict[str, Any] = {"cmap": MAP, "vmin": 0}
-        look["vmax"] = max(float(np.nanmax(metres)), float(region.cuboid_m[2]))
-        image = axes.imshow(thinned(metres).T, extent=around, origin="lower", aspect="auto", **look)
+        most = max(float(np.nanmax(metres)), float(region.cuboid_m[2]))
+        image = draw_values(axes, region, metres, "top", cmap=MAP, vmin=0, vmax=most)
         sensor_dots(axes, rig, "top", 4)
-        axes.set(xlim=around[:2], ylim=around[2:], facecolor=(*EXCLUDED, 0.4), xlabel="x (m)", ylabel="y (m)")
-        axes.set_title("unseen height (m)")
+        axes.set(xlabel="x (m)", ylabel="y (m)", title="unseen height (m)")
         figure.colorbar(image, label="m")
 
     return drawing("unseen", height_in(tall), "a map of how much is hidden above each position", draw)

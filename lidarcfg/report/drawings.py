@@ -17,6 +17,7 @@ from lidarcfg.report.canvas import (
     WIDTH_IN,
     colour,
     dashes,
+    draw_values,
     drawing,
     extent,
     fractions,
@@ -264,11 +265,8 @@ def _draw_axes(axes: "Axes", view: str, rig: Rig, length: float) -> None:
 
 def coverage_view(axes: "Axes", view: str, region: Region, beams: NDArray[np.int64], most: float) -> Any:
     """Draw a map of beams (a, b), −1 where nothing counts; returns the image, for a colour bar."""
-    values = thinned(np.where(beams < 0, np.nan, beams.astype(np.float64)))
-    around = extent(region, view)
-    image = axes.imshow(values.T, extent=around, origin="lower", aspect="auto", cmap=MAP, vmin=0, vmax=max(most, 1))
-    axes.set(xlim=around[:2], ylim=around[2:], facecolor=(*EXCLUDED, 0.4), autoscale_on=False)
-    return image
+    values = np.where(beams < 0, np.nan, beams.astype(np.float64))
+    return draw_values(axes, region, values, view, cmap=MAP, vmin=0, vmax=max(most, 1))
 
 
 def all_beams(coverage: Coverage, view: str) -> NDArray[np.int64]:
