@@ -221,10 +221,10 @@ def optimize(**values: Any) -> None:
 def _find_rig(study: "Study", options: Options) -> Outcome:
     """Search for the best rig, write the folder, print the result."""
     from lidarcfg.report.comparison import print_comparison, with_baseline
-    from lidarcfg.report.document import Commands
+    from lidarcfg.report.printing import print_placement
     from lidarcfg.report.results import RESULTS, check_writable, save_placement
+    from lidarcfg.report.rig_report import Commands
     from lidarcfg.report.search_log import load_log
-    from lidarcfg.report.tables import print_placement
 
     folder = options.folder(study)
     log = load_log(study, options.resume).only if options.resume else None
@@ -313,11 +313,11 @@ def _cheapest_outlook(run: "CheapestRun", solver: "Solver") -> str:
 def _find_cheapest(study: "Study", options: Options) -> Outcome:
     """Search for the cheapest rig that meets all requirements, write the folder, print the verdict and the table."""
     from lidarcfg.report.cheapest import choice_part, print_cheapest, save_combinations
-    from lidarcfg.report.document import Commands
     from lidarcfg.report.inputs import report_inputs
+    from lidarcfg.report.printing import print_placement
     from lidarcfg.report.results import COMBINATIONS, RESULTS, check_writable, save_placement, save_progress
+    from lidarcfg.report.rig_report import Commands
     from lidarcfg.report.search_log import load_log, save_log
-    from lidarcfg.report.tables import print_placement
     from lidarcfg.search.cheapest import cheapest
     from lidarcfg.search.workers import Cluster
 
@@ -364,9 +364,9 @@ def _find_cheapest(study: "Study", options: Options) -> Outcome:
 
 def _find_front(study: "Study", options: Options) -> Outcome:
     """Search for the best rig of each price, write the folder, print the table."""
-    from lidarcfg.report.document import Commands
     from lidarcfg.report.front import print_front, save_front, save_front_progress
     from lidarcfg.report.results import FRONT, check_writable
+    from lidarcfg.report.rig_report import Commands
     from lidarcfg.report.search_log import load_log
     from lidarcfg.search.front import front
 

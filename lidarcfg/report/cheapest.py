@@ -6,8 +6,8 @@ from pathlib import Path
 
 from lidarcfg.files import replacing
 from lidarcfg.report.describe import counted, price
-from lidarcfg.report.document import ChoicePart
 from lidarcfg.report.results import COMBINATIONS
+from lidarcfg.report.rig_report import ChoicePart
 from lidarcfg.report.table import COUNT, NOTHING, PRICE, Cell, Column, Table, named
 from lidarcfg.report.terminal import print_table, terminal
 from lidarcfg.report.text import truncate

@@ -297,7 +297,9 @@ def _draw_view(axes: "Axes", view: SensorView, number: int) -> None:
     )
     axes.add_collection(silhouette)
     low, high = (extreme(axis=(0, 1)) for extreme in (triangles.min, triangles.max))
-    margin = np.maximum(0.2 * (high - low), 2.0)
+    size = high - low
+    margin = np.maximum(0.2 * size, 2.0)
+    margin[0] = max(margin[0], (0.6 * size[1] - size[0]) / 2)  # nowhere a sliver
     at = np.degrees(beams.at_rad)
     for outcome, (code, size, mark, _) in BEAMS.items():
         some = beams.outcome == outcome
@@ -305,6 +307,7 @@ def _draw_view(axes: "Axes", view: SensorView, number: int) -> None:
         style: dict[str, Any] = {"lw": 0.9} if mark in "x+" else {"lw": 0}
         axes.scatter(at[some, 0], at[some, 1], s=size, c=code, marker=mark, rasterized=rasterized, **style)
     axes.set(xlim=(high[0] + margin[0], low[0] - margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
+    axes.set_aspect("equal")
     gone = ", lost" if view.lost else ""
     axes.set_title(f"{label(view.name, 18)}: {beams.returns}{gone}", color=colour(number), fontsize=8)
     axes.tick_params(labelsize=7)

@@ -15,12 +15,14 @@ from lidarcfg.config.document import yaml_text
 from lidarcfg.files import remove_outdated
 from lidarcfg.geometry import Array
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
-from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price, versions
-from lidarcfg.report.document import Commands
-from lidarcfg.report.html import KeyFigure, render
+from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price
 from lidarcfg.report.inputs import report_inputs
+from lidarcfg.report.key_figures import KeyFigure
+from lidarcfg.report.page import Section, facts, figure, page
 from lidarcfg.report.plots import CUT_OFF, new_figure, save_figure
+from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.results import RESULTS, save_placement, save_progress, to_json, write_history, write_text
+from lidarcfg.report.rig_report import Commands
 from lidarcfg.report.table import COUNT, PRICE, Cell, Column, Row, Table, named
 from lidarcfg.report.terminal import print_table, terminal
 from lidarcfg.report.text import DRAWN, truncate
@@ -183,36 +185,60 @@ def front_page(study: Study, found: Front, values: dict[str, Any], commands: Com
     """The front as one HTML file beside the folder points/. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
     cheapest = found.points[0]
     best = found.points[-1]
-    tried = [one for one in found.candidates if one.evaluations]
-    return render(
-        "front.html",
-        title=f"Front: {study.name}",
-        about=f"{counted(len(found.points), 'rig')} on the front of price and objective, of "
-        f"{counted(len(found.candidates), 'combination')} of sensors; by lidarcfg {__version__} on {date()}",
-        summary=[
-            KeyFigure("The cheapest rig", price(cheapest.combination.price), _what(cheapest)),
-            KeyFigure("The best rig", price(best.combination.price), _what(best)),
-            KeyFigure("Evaluations", f"{found.evaluations:,}", f"{_spent(found)} on the front's combinations"),
-        ],
-        objective=describe_objective(study),
-        plot=front_svg(study, found),
-        points=_shown_points(study, found),
-        candidates=candidates_table(found).without("name"),
-        untried=len(found.candidates) - len(tried),
-        search=[
+    tried = sum(one.evaluations > 0 for one in found.candidates)
+    drawn = figure(
+        front_svg(study, found),
+        "Each dot is a combination of sensors with the best rig found for it: blue on the front, grey is dominated: "
+        "another costs no more and is no worse. Above: rigs of the front from the top, with their prices; x points "
+        f"right. Objective: {describe_objective(study)}.",
+    )
+    untried = (
+        f"{len(found.candidates) - tried} of them were not tried before the budget was spent. Search longer with "
+        "lidarcfg optimize --resume."
+    )
+    how = (
+        "The next evaluations went to the combination that would soonest be on the front; now and then a combination "
+        "started from the best rigs of others. A search does not prove an optimum: another seed may find rigs that are "
+        "a few per cent better or worse, and a combination that is a little worse than the front may belong on it."
+    )
+    spent = facts(
+        [
             ("solver", describe_solver(study)),
             ("evaluations", f"{found.evaluations:,}"),
             ("… of combinations that are not on the front", f"{found.dominated_evaluations:,}"),
+        ]
+    )
+    ended = "This search was interrupted." if found.interrupted else None
+    return page(
+        f"Front: {study.name}",
+        f"{counted(len(found.points), 'rig')} on the front of price and objective, of "
+        f"{counted(len(found.candidates), 'combination')} of sensors; by lidarcfg {__version__} on {date()}",
+        [
+            Section(
+                "front",
+                "Price and objective",
+                [drawn, _shown_points(study, found), "Prices are the study's, without a currency."],
+            ),
+            Section(
+                "combinations",
+                "All combinations",
+                [candidates_table(found).without("name"), untried if tried < len(found.candidates) else None],
+            ),
+            Section("search", "The search", [spent, how, ended]),
+            repeat_section(
+                "front",
+                {"The complete study, with defaults": study.file},
+                commands.typed,
+                commands.again,
+                values["seed"],
+                found.seconds,
+            ),
         ],
-        commands=commands,
-        interrupted=found.interrupted,
-        repeat=[
-            ("seed", values["seed"]),
-            ("versions", versions()),
-            ("seconds", f"{found.seconds:.2f}"),
-            ("date", date()),
+        [
+            KeyFigure(Column("the cheapest rig"), price(cheapest.combination.price), _what(cheapest)),
+            KeyFigure(Column("the best rig"), price(best.combination.price), _what(best)),
+            KeyFigure(Column("evaluations"), f"{found.evaluations:,}", f"{_spent(found)} on the front's combinations"),
         ],
-        study_yaml=yaml_text(study.file),
     )
 
 

@@ -12,9 +12,10 @@ from typing import Any
 from lidarcfg import __version__
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.geometry import Array
-from lidarcfg.report.document import Baseline, ChoicePart, Commands, report
+from lidarcfg.report.drawings import draw_rig
 from lidarcfg.report.inputs import ReportInputs
-from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
+from lidarcfg.report.plots import draw_convergence, save_figure
+from lidarcfg.report.rig_report import Baseline, ChoicePart, Commands, report
 from lidarcfg.report.search_log import SEARCH_LOG, save_log
 from lidarcfg.report.table import Column, Table
 from lidarcfg.report.verification import verdict_page

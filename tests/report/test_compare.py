@@ -9,8 +9,8 @@ import pytest
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.report.comparison import comparison, comparison_dict, comparison_table, contenders, print_comparison
-from lidarcfg.report.document import Commands
 from lidarcfg.report.inputs import report_inputs
+from lidarcfg.report.rig_report import Commands
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.study import load_study

@@ -183,3 +183,4 @@ def test_the_files_of_a_drive(files, target):
     (line,) = (line for line in figure.axes[0].lines if line.get_label() == "detected")
     assert run.approach.lead_s - line.get_xdata()[0] == pytest.approx(run.detected_s)
     save_figure(figure, files / "plot.png")
+    assert {"1", "10", "100"} <= {label.get_text() for label in figure.axes[0].get_yticklabels()}
