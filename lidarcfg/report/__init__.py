@@ -6,9 +6,9 @@ has those of an evaluated rig. `key_figures` says what its main figures are call
 best. `canvas` has the style of drawings; `plots` (PNG), `mounts`, `drawings`, `blind_spots` draw a part each; `misses`
 is what a report begins with: what rigs miss, side by side. `rig_report` is the report of one rig, `comparison` of
 several, `front` of price against objective, `cheapest` of the combinations searched for the cheapest rig; `repeat` is
-their last section. `results` writes the folder of a search and its `search_log`, `sweep` that of many. A verdict is a table
-in `verdict` and a page in `verification`, with drawings from `evidence` and `scenario`. `printing` and `sensors` print
-on the terminal, and `summaries` says in one line what a file is.
+their last section. `results` writes the folder of a search, `search_log` what it goes on from, `sweep` the folder of
+many. A verdict is a table in `verdict` and a page in `verification`, with drawings from `evidence` and `scenario`.
+`printing` and `sensors` print on the terminal, and `summaries` says in one line what a file is.
 
 `__init__.pyi` lists the names. Each loads its module on first use, so a list of sensors loads no reports.
 """
