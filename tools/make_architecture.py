@@ -107,6 +107,7 @@ def rows(below: Mapping[str, set[str]]) -> dict[str, int]:
 
 def picture(said: Mapping[str, str], below: Mapping[str, set[str]]) -> str:
     """The drawing as SVG: an arrow from each package to those that it imports, unless others lead there, too."""
+    assert PLACES.keys() == said.keys(), f"PLACES: {', '.join(sorted(PLACES.keys() ^ said.keys()))}"
     row = rows(below)
     middle = {name: (column * STEP[0], row[name] * STEP[1]) for name, (column, _) in PLACES.items()}
     left, right = (side(x for x, _ in middle.values()) for side in (min, max))
