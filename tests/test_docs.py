@@ -335,6 +335,34 @@ def test_links_and_paths_lead_somewhere(page):
         assert os.access(ROOT / path, os.X_OK) or path.endswith(".py"), path
 
 
+def defined(path):
+    """The names that a file defines: of Python also methods, as Class.method; of C++ every word."""
+    text = path.read_text()
+    if path.suffix != ".py":
+        return set(re.findall(r"\w+", text))
+    found = set()
+    for node in ast.parse(text).body:
+        names = [node.name] if hasattr(node, "name") else []
+        targets = getattr(node, "targets", [getattr(node, "target", None)])
+        names += [one.id for one in targets if isinstance(one, ast.Name)]
+        found |= {
+            *names,
+            *(f"{names[0]}.{one.name}" for one in getattr(node, "body", []) if names and hasattr(one, "name")),
+        }
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_code_that_a_page_names_is_there(page):
+    """`path/file.py: name`, by the file's own syntax tree."""
+    text = " ".join(page.read_text().split())
+    for path, name in re.findall(r"`((?:lidarcfg|tests|tools)/[\w./-]+): ([\w.]+)`", text):
+        assert (ROOT / path).is_file(), path
+        assert name in defined(ROOT / path), f"{path}: {name}"
+    if page.stem == "architecture":
+        assert text.count(".py: ") > 30
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_pictures_are_small_and_described(page):
     """One can see them without waiting, and their text says what is in them."""
