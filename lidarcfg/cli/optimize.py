@@ -135,7 +135,8 @@ def optimize(
         from lidarcfg.report.tables import print_placement
         from lidarcfg.search.achievable import unachievable
         from lidarcfg.study.checks import study_warnings
-        from lidarcfg.study.study import load_study, with_solver
+        from lidarcfg.study.loading import load_study
+        from lidarcfg.study.study import with_solver
 
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)

@@ -12,11 +12,12 @@ from lidarcfg.geometry import Array
 from lidarcfg.report.table import PRICE, written
 from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.detection import GapFit
 from lidarcfg.study.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.study.study import Study
 from lidarcfg.study.terms import TERMS
 from lidarcfg.study.terms.misses import describe_misses
-from lidarcfg.vsr.detection import Detection, DetectionObject, GapFit, Returns
+from lidarcfg.vsr.detection import Detection, DetectionObject, Returns
 from lidarcfg.vsr.region import Region
 
 PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")

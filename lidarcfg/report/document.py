@@ -66,8 +66,9 @@ from lidarcfg.report.verification import verdict_part
 from lidarcfg.search.run import Believed, Placement, at_bounds
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 from lidarcfg.study.evaluation import Evaluation, Worst
+from lidarcfg.study.extrapolation import Extrapolated
+from lidarcfg.study.objective_costs import rigs_of_trial, segments_of_trial
 from lidarcfg.study.study import Study
-from lidarcfg.vsr.extrapolation import Extrapolated
 from lidarcfg.vsr.subspaces import BLIND
 
 FactRows = list[tuple[str, object]]
@@ -359,17 +360,17 @@ def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) 
     trials = placement.evaluated
     all_trials = placement.evaluations + placement.first_evaluations + placement.scout_evaluations
     facts: FactRows = [("trials evaluated in this run", f"{trials:,} of {all_trials:,}")] if trials < all_trials else []
-    if study.rigs[0] > 1:
-        facts.append(("rigs that these stand for", f"{skipped['rigs']:,}, {study.rigs[0]:,} a trial"))
-    if not study.objective_cuts:
+    if rigs_of_trial(study) > 1:
+        facts.append(("rigs that these stand for", f"{skipped['rigs']:,}, {rigs_of_trial(study):,} a trial"))
+    if not study.objective.cuts(study.detection):
         if study.objective.misses:
             facts.append(("trials", f"{trials:,}, each until it could no longer be better"))
         return [*facts, ("subspaces of trials", "not computed, as the objective does not need them")]
-    what = "rigs" if study.rigs[0] > 1 else "trials"
+    what = "rigs" if rigs_of_trial(study) > 1 else "trials"
     facts.append((f"{what} settled without a full evaluation", _of(skipped["full_evaluations"], skipped["rigs"])))
     cuboids = skipped["rigs"] * study.region.included.size
     facts.append(("cuboids that were not evaluated", _of(skipped["cuboids"], cuboids)))
-    if segments := trials * study.segments:
+    if segments := trials * segments_of_trial(study):
         facts.append(("segments from sensors to cuboids that were not cast", _of(skipped["segments"], segments)))
     return facts
 

@@ -11,8 +11,8 @@ from lidarcfg.report.verdict import print_verdict
 from lidarcfg.search.run import Placement
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.evaluation import Evaluation
+from lidarcfg.study.extrapolation import Extrapolated
 from lidarcfg.study.study import Study
-from lidarcfg.vsr.extrapolation import Extrapolated
 
 FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
 

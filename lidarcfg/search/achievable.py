@@ -22,7 +22,7 @@ def unachievable(study: Study) -> dict[str, str]:
 def _allowed(study: Study) -> AllowedRigs:
     assert study.requirements
     sensors = []
-    for slot, mount in zip(study.slots, study.rig(study.lower).mounts, strict=True):
+    for slot, mount in zip(study.slots, study.rig(study.space.lower).mounts, strict=True):
         some = [replace(mount, sensor=one.sensor, model=one.model) for one in slot.choices if one] or [mount]
         sensors.append(SensorChoice(some, None in slot.choices))
     return AllowedRigs(sensors, study.requirements.site.bounds)

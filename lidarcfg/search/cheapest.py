@@ -491,7 +491,7 @@ class CheapestRun:
 
     def _verdict_on(self, study: Study, x: Array) -> Verdict:
         """The verdict on the rig at a point (free coordinates,) of a combination."""
-        return self._verifier.verify(study.rig(study.poses(x[None])[0]).mounts)
+        return self._verifier.verify(study.rig(study.space.poses(x[None])[0]).mounts)
 
     def _tried(self, number: int) -> SearchedCombination:
         option = self.options[number]
@@ -535,7 +535,8 @@ def effort_of(job: Job, threads: int | None = None, verifier: Verifier | None = 
         while not (run.is_over(budget) or run.is_verified or (run.history and not job.evaluations)):
             run.step(evaluator, budget)
         keeps = run.best_cost.shortfall < INFEASIBLE  # the constraints; where none that was tried does, others may
-        shortfalls = np.array(evaluator.shortfalls(study.poses(run.best_x[None])[0])) if keeps else np.array([math.inf])
+        poses = study.space.poses(run.best_x[None])[0]
+        shortfalls = np.array(evaluator.shortfalls(poses)) if keeps else np.array([math.inf])
     assert study.requirements
     worst = math.inf
     failing: tuple[str, ...] = (CONSTRAINTS,)

@@ -20,7 +20,7 @@ from lidarcfg.config.models import NAME_MAX
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.allowed_rigs import total_price
-from lidarcfg.study.slots import Choice, Slot, slot_name
+from lidarcfg.study.mounting import Choice, Slot, slot_name
 from lidarcfg.study.study import Study
 
 CHANGES_MAX = 2  # sensors exchanged, added and removed
@@ -147,7 +147,7 @@ def distinct_options(study: Study) -> list[Option]:
 def _place_of(study: Study, group: _Group) -> object:
     """All that a group's file says but its name; its bounds in radians, whatever unit they are given in."""
     values = {key: value for key, value in group.values.items() if key not in ("name", "min", "max")}
-    return values, study.lower[group.first].tolist(), study.upper[group.first].tolist()
+    return values, study.space.lower[group.first].tolist(), study.space.upper[group.first].tolist()
 
 
 def _groups(study: Study) -> list[_Group]:
@@ -187,7 +187,17 @@ def _combination(
                 surface = choice.surface.image if choice.surface and number % group.together else choice.surface
                 given = group.values.get("azimuth_fov_deg")
                 fov_deg = choice.sensor.field_of_view_deg(tuple(given) if given else None)
-                slots.append(Slot(slot, choice.sensor, model, of.range_m, fov_deg, surface))
+                slots.append(
+                    replace(
+                        of,
+                        name=slot,
+                        sensor=choice.sensor,
+                        model=model,
+                        azimuth_fov_deg=fov_deg,
+                        surface=surface,
+                        choices=(),
+                    )
+                )
                 numbers.append(place + number)
                 members.append(i)
             place += count
@@ -201,7 +211,8 @@ def _combination(
     named = {model: each for model, each in study.file["prices"].items() if model in used}
     file = study.file | {"sensors": files, "prices": named}
     names = tuple(_group_name(group, i) for i, group in enumerate(groups))
-    whole = replace(study.chosen(numbers, slots, file), name=name)
+    asked = study.requirements and study.requirements.of_slots(numbers)
+    whole = replace(study, name=name, slots=tuple(slots), requirements=asked, file=file)
     return Combination(name, total_price(prices), whole, tuple(members), names)
 
 
@@ -265,15 +276,15 @@ def starts(combination: Combination, examples: Sequence[Example], rng: np.random
                 found.append(x)
             if x is None or not is_new:
                 break
-    return np.array(found[:STARTS_MAX]).reshape(-1, combination.study.free.sum())
+    return np.array(found[:STARTS_MAX]).reshape(-1, combination.study.space.free.sum())
 
 
 def _sensor_slots(combination: Combination) -> list[SensorSlot]:
     study = combination.study
     return [
-        SensorSlot(combination.groups[i], slot.model, np.flatnonzero(study.groups == i))
+        SensorSlot(combination.groups[i], slot.model, np.flatnonzero(study.space.groups == i))
         for i, slot in enumerate(study.slots)
-        if np.isnan(study.mirror[i])
+        if np.isnan(study.space.mirror[i])
     ]
 
 

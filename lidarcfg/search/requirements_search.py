@@ -13,24 +13,18 @@ with the first rig that is verified.
 """
 
 import math
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import TracebackType
 
 import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.kind import Judge
-from lidarcfg.requirements.shortfalls import Draws, Shortfalls
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
-from lidarcfg.returns.known import KnownReturns
-from lidarcfg.returns.misses import SEARCH_PLACES, SEED
+from lidarcfg.returns.misses import SEED
 from lidarcfg.search.achievable import unachievable
 from lidarcfg.search.misses_search import DOUBLED_EVERY, MissesRun
 from lidarcfg.search.points_first import PointsFirst
@@ -40,140 +34,25 @@ from lidarcfg.search.run import (
     Cycle,
     Log,
     Placement,
-    TrialEvaluator,
-    objective_costs,
 )
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.solvers.search import (
     NO_COST,
     Cost,
-    is_below,
     order,
-    unbounded,
 )
-from lidarcfg.study.evaluator import Index
+from lidarcfg.study.criterion import objective_of
+from lidarcfg.study.evaluator import Evaluator
 from lidarcfg.study.study import Study
-from lidarcfg.study.study_evaluator import StudyEvaluator
 
 Places = Mapping[int, Array]  # (n, 4) by the number of a requirement
 
-SHORTFALL_MOST = 1e5  # below INFEASIBLE
-LEAST = math.ulp(0.0)  # the least number above 0
-LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
-SLICE_MOST = 1000
 LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
 FIRST_LEFT = 0.1  # as long as it is not known how long that takes
 MANY = 0.05  # of the places of trials: a requirement that is missed at more is searched at drawn places, too
 DRAWN_FIRST = 256  # places
 DRAWN_MOST = 1024
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
-
-
-class RequirementsEvaluator:
-    """Evaluates poses (n, slots, 6) of a study's sensors; a context that owns its threads. As StudyEvaluator.
-
-    `more_places`: see Shortfalls.
-    """
-
-    smooths = False  # whether costs can be smoothed
-
-    def __init__(
-        self,
-        study: Study,
-        threads: int | None = None,
-        skip: bool = True,
-        on_evaluations: Callable[[int], None] | None = None,
-        more_places: Places | None = None,
-        places: int = SEARCH_PLACES,
-    ) -> None:
-        """Misses are counted at so many `places` of each object."""
-        assert study.requirements
-        self._threads = threads or os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(self._threads)
-        self._skip = skip
-        self._on_evaluations = on_evaluations
-        self._requirements = study.requirements
-        self._mounts = study.rig(study.lower).mounts
-        self._judge = Shortfalls(self._requirements, self._mounts, skip, more_places)
-        self._objective = None if study.only_required else StudyEvaluator(study, threads, skip, places=places)
-        self._seconds = 0.0
-        self.minimises = True  # what rigs that meet all are compared by; else all of them cost nothing
-        self.trials = 0  # evaluated, in full or until they were refuted
-
-    def __enter__(self) -> "RequirementsEvaluator":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
-        self._pool.shutdown(cancel_futures=True)
-        if self._objective:
-            self._objective.__exit__(kind, value, at)
-
-    def add_places(self, more_places: Places) -> None:
-        """Use these places, too, from now on; see Shortfalls. What is known of sensors is forgotten."""
-        self._judge = Shortfalls(self._requirements, self._mounts, self._skip, more_places)
-
-    @property
-    def known(self) -> KnownReturns | None:
-        """The returns at the places where misses are counted; None: they are not."""
-        return self._objective.known if self._objective else None
-
-    def count_at(self, places: int) -> None:
-        """Count misses at so many places of each object from now on."""
-        if self._objective:
-            self._objective.count_at(places)
-
-    @property
-    def slice(self) -> int:
-        """How many trials are evaluated between two looks at the clock, where there is a deadline."""
-        each_s = self._seconds / self.trials if self.trials else math.inf
-        return int(np.clip(LOOK_S / max(each_s, 1e-9), self._threads if self.trials else 1, SLICE_MOST))
-
-    @property
-    def full_evaluations(self) -> int:
-        """The number of rigs whose objective was evaluated in full."""
-        return self._objective.full_evaluations if self._objective else 0
-
-    @property
-    def cuboids(self) -> int:
-        """The number of cuboids evaluated."""
-        return self._objective.cuboids if self._objective else 0
-
-    @property
-    def segments(self) -> int:
-        """The number of segments cast from LiDARs to cuboids, at most."""
-        return self._objective.segments if self._objective else 0
-
-    def costs(
-        self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
-    ) -> Array:
-        """(n, 2) the costs, or (inf, inf) where one is not below `upper_bound` (n, 2). See Evaluator.costs."""
-        began = time.perf_counter()
-        limits = upper_bound if self._skip else unbounded(len(poses))
-        rigs = self._judge.rigs(poses)
-        run = map if self._threads == 1 else self._pool.map
-        cost = np.array(list(run(self._cost, rigs, limits.tolist()))).reshape(-1, 2)
-        if self._objective and self.minimises:
-            met = np.flatnonzero(cost[:, 0] == 0)
-            if len(met):
-                cost[met] = objective_costs(self._objective, poses[met], source[met], source_poses, limits[met])
-        self._judge.learn()
-        self.trials += len(poses)
-        self._seconds += time.perf_counter() - began
-        if self._on_evaluations:
-            self._on_evaluations(self.trials)
-        return np.where(is_below(cost, limits)[:, None], cost, np.inf)
-
-    def shortfalls(self, poses: Array) -> tuple[float, ...]:
-        """Of one rig's poses (slots, 6), for each requirement in turn."""
-        return self._judge.shortfalls(self._judge.rigs(poses[None])[0])
-
-    def _cost(self, rig: Draws, limit: tuple[float, float]) -> Cost:
-        """The cost of a rig by its shortfall; (0, 0) if it meets all."""
-        limit_shortfall, _ = limit
-        shortfall = self._judge.shortfall(rig, max(limit_shortfall, LEAST))
-        if shortfall > 0:
-            return Cost(min(shortfall, SHORTFALL_MOST) if math.isfinite(shortfall) else math.inf, math.inf)
-        return Cost(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -245,32 +124,10 @@ class RequirementsRun(MissesRun):
         """All costs told so far, and what was verified."""
         return replace(super().log(), checks=tuple(self._checks))
 
-    @contextmanager
-    def evaluator(
-        self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
-    ) -> Iterator[RequirementsEvaluator]:
-        """An evaluator for one part of the run."""
-        with super().evaluator(threads, skip, on_evaluations) as one:
-            assert isinstance(one, RequirementsEvaluator)
-            yield one
-
-    def _evaluator(
-        self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
-    ) -> RequirementsEvaluator:
-        found = RequirementsEvaluator(self.study, threads, skip, on_evaluations, self._more_places, self.places)
+    def _evaluator(self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None) -> Evaluator:
+        found = Evaluator(self.study, threads, skip, on_evaluations, self.places, self._more_places)
         found.minimises = self._minimises
         return found
-
-    def _costs(
-        self,
-        evaluator: TrialEvaluator,
-        poses: Array,
-        source: Index,
-        source_poses: Array,
-        upper_bound: Array,
-        smoothing: float,
-    ) -> Array:
-        return evaluator.costs(poses, source, source_poses, upper_bound, smoothing)
 
     def _line(self) -> Cycle:
         line = super()._line()
@@ -306,7 +163,7 @@ class RequirementsRun(MissesRun):
         """Whether the verdict on the best rig is known."""
         return self._judged is not None and bool((self.best_x == self._judged[0]).all())
 
-    def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
+    def step(self, evaluator: Evaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials, and verify the best rig where that is due. Returns as SearchRun.step."""
         told = super().step(evaluator, budget)
         draws = not self._meets and self.evaluations >= self._next_draw
@@ -316,7 +173,6 @@ class RequirementsRun(MissesRun):
         if check is None and not self.is_replaying:
             check = self._checked() if self._is_due(budget) else self._drawn() if draws else None
         if check:
-            assert isinstance(evaluator, RequirementsEvaluator)
             self._go_on(check, evaluator)
         return told
 
@@ -368,9 +224,9 @@ class RequirementsRun(MissesRun):
 
     def _mounts(self, x: Array) -> Sequence[Mount]:
         """Those of the rig at a point."""
-        return self.study.rig(self.study.poses(x[None])[0]).mounts
+        return self.study.rig(self.study.space.poses(x[None])[0]).mounts
 
-    def _go_on(self, check: Check, evaluator: RequirementsEvaluator) -> None:
+    def _go_on(self, check: Check, evaluator: Evaluator) -> None:
         """Go on by what was found of the best rig."""
         self._checks.append(check)
         if check.passed:
@@ -397,7 +253,7 @@ class RequirementsRun(MissesRun):
             self._minimises = True
             self._restart(evaluator)
 
-    def _restart(self, evaluator: RequirementsEvaluator) -> None:
+    def _restart(self, evaluator: Evaluator) -> None:
         """Use the added places, and start the solver anew from the best rigs."""
         evaluator.add_places(self._more_places)
         evaluator.minimises = self._minimises
@@ -407,7 +263,7 @@ class RequirementsRun(MissesRun):
         self._start_anew(evaluator, points)
         self._candidates = self._search.points if isinstance(self._search, PointsFirst) else points
 
-    def _start_anew(self, evaluator: TrialEvaluator, points: Array) -> None:
+    def _start_anew(self, evaluator: Evaluator, points: Array) -> None:
         """As MissesRun, also from the best rig that was verified."""
         verified = [self._verified.x[None]] if self._verified else []
         super()._start_anew(evaluator, np.concatenate([*verified, points]))
@@ -474,6 +330,6 @@ class RequirementsRun(MissesRun):
         if self.study.only_required:
             objective = verdict.least_margin
         elif not (self._meets and self._minimises):
-            objective = self.study.cost(self.study.poses(self.best_x[None])[0])
+            objective = objective_of(self.study, self.study.space.poses(self.best_x[None])[0])
         believed = found.believed if self._minimises else None
         return replace(found, objective=objective, believed=believed, remarks=tuple(remarks))

@@ -13,7 +13,8 @@ from lidarcfg.report.front import draw_front, load_front_logs, save_front_log
 from lidarcfg.search.front import front
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 from tests.command_line import lidarcfg, without_drawing
 
 STUDY = """region: {min_m: [0, 0, 0], max_m: [8, 6, 3], cuboid_m: [1, 0.5, 0.5]}

@@ -19,7 +19,7 @@ def test_the_cheapest_rig_is_no_dearer_than_the_one_by_hand(name):
     ((number, (x,)),) = starting_options(options, [made.hand]).items()
     chosen = options[number].combination.study
     assert options[number].price == made.price
-    assert Verifier(chosen.requirements).verify(chosen.rig(chosen.poses(x[None])[0]).mounts).passed
+    assert Verifier(chosen.requirements).verify(chosen.rig(chosen.space.poses(x[None])[0]).mounts).passed
     run = CheapestRun(study)
 
     class FoundError(Exception):
@@ -33,4 +33,4 @@ def test_the_cheapest_rig_is_no_dearer_than_the_one_by_hand(name):
         run.run(stop)
     found = run.options[run.found].combination.study
     effort = run.efforts[run.found]
-    assert Verifier(found.requirements).verify(found.rig(found.poses(effort.x[None])[0]).mounts).passed
+    assert Verifier(found.requirements).verify(found.rig(found.space.poses(effort.x[None])[0]).mounts).passed
