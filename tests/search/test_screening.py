@@ -28,7 +28,7 @@ def test_a_screen_and_trials_agree(study, lost):
     one = study(YARD.format(returns=30, lost=lost, more=""))
     points = plain_points(one)[:10]
     found = Screening(one.requirements).judge(one, points)
-    poses = one.poses(points)
+    poses = one.space.poses(points)
     with Evaluator(one, 1) as evaluator:
         trials = np.array([evaluator.shortfalls(row) for row in poses])
     assert ((trials > 0) <= (found.shortfalls > 0)).all() if lost else found.shortfalls == pytest.approx(trials)

@@ -147,11 +147,11 @@ def test_a_start_belongs_to_the_combination_with_its_models(study):
     ones = distinct_combinations(one)
     for number, each in enumerate(ones):
         chosen = each.study
-        (found,) = points_by_combination(ones, [chosen.rig(chosen.midpoint)])
+        (found,) = points_by_combination(ones, [chosen.rig(chosen.space.midpoint)])
         assert found == number
     strange = study(BOX)
     with pytest.raises(ConfigError, match="no combination of the study has the sensors fan-4, fan-4, fan-8"):
-        points_by_combination(ones, [strange.rig(strange.midpoint)])
+        points_by_combination(ones, [strange.rig(strange.space.midpoint)])
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def test_searches_that_choose_begin_with_a_start(study):
     """The dearest combination's rig is verified first, then the search goes down from there; and so does a front."""
     one = study(CHOICE.replace("RETURNS", "300").replace("13000", "14000"))
     dearest = distinct_combinations(one)[-1].study
-    rig = dearest.rig(dearest.midpoint)
+    rig = dearest.rig(dearest.space.midpoint)
     said = []
     found = cheapest(one, 2, lambda run: said.append(run.doing), rigs=[rig])
     assert dearest.name in said[0]
