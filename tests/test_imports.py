@@ -85,6 +85,16 @@ def test_imports_run_one_way():
     assert found == []
 
 
+def test_no_class_name_serves_two_things():
+    found = defaultdict(list)
+    for name, text in modules():
+        if not name.startswith("core"):
+            for node in ast.walk(ast.parse(text)):
+                if isinstance(node, ast.ClassDef):
+                    found[node.name].append(name)
+    assert {name: there for name, there in found.items() if len(there) > 1} == {}
+
+
 @pytest.mark.parametrize("name", sorted(LEVEL))
 def test_each_package_has_a_face(name):
     """A sentence on what it does, and in what order its modules are read; the core's is a page, the command line's help."""

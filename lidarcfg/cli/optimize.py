@@ -96,7 +96,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SearchEnd:
     """How a search ended."""
 
     interrupted: str  # what is kept; empty: it was not interrupted
@@ -219,7 +219,7 @@ def optimize(**values: Any) -> None:
         sys.exit(NOT_MET)
 
 
-def _find_rig(study: "Study", options: Options) -> Outcome:
+def _find_rig(study: "Study", options: Options) -> SearchEnd:
     """Search for the best rig, write the folder, print the result."""
     from lidarcfg.report.comparison import print_comparison, with_baseline
     from lidarcfg.report.printing import print_placement
@@ -246,7 +246,7 @@ def _find_rig(study: "Study", options: Options) -> Outcome:
         files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
         click.echo(f"written to {folder}/: {files}")
     is_met = found.verdict is None or found.verdict.passed
-    return Outcome("the best rig found" if found.interrupted else "", is_met)
+    return SearchEnd("the best rig found" if found.interrupted else "", is_met)
 
 
 def _search(
@@ -311,7 +311,7 @@ def _cheapest_outlook(run: "CheapestRun", solver: "Solver") -> str:
     return f"{count:,} combinations: {screening}; the search ends after {budget}, and the report comes then"
 
 
-def _find_cheapest(study: "Study", options: Options) -> Outcome:
+def _find_cheapest(study: "Study", options: Options) -> SearchEnd:
     """Search for the cheapest rig that meets all requirements, write the folder, print the verdict and the table."""
     from lidarcfg.report.cheapest import choice_part, print_cheapest, save_combinations
     from lidarcfg.report.inputs import report_inputs
@@ -360,10 +360,10 @@ def _find_cheapest(study: "Study", options: Options) -> Outcome:
         if not found.meets:
             click.echo(f"to go on: {go_on}")
         click.echo(f"written to {folder}/: report.html rig.yaml result.json {COMBINATIONS}")
-    return Outcome("the best rig so far" if found.interrupted else "", found.meets)
+    return SearchEnd("the best rig so far" if found.interrupted else "", found.meets)
 
 
-def _find_front(study: "Study", options: Options) -> Outcome:
+def _find_front(study: "Study", options: Options) -> SearchEnd:
     """Search for the best rig of each price, write the folder, print the table."""
     from lidarcfg.report.front import print_front, save_front, save_front_progress
     from lidarcfg.report.results import FRONT, check_writable
@@ -396,7 +396,7 @@ def _find_front(study: "Study", options: Options) -> Outcome:
     if not options.quiet:
         print_front(study, found)
         click.echo(f"written to {folder}/: front.html front.json front.png history.csv search.npz points/")
-    return Outcome("the front so far" if found.interrupted else "")
+    return SearchEnd("the front so far" if found.interrupted else "")
 
 
 def _front_line(run: "FrontRun") -> str:

@@ -15,7 +15,7 @@ from lidarcfg.report.evaluation import mounts_table
 from lidarcfg.report.inputs import ReportInputs
 from lidarcfg.report.key_figures import KeyFigure, compared_rows, key_figures
 from lidarcfg.report.misses import describe_interval, percent
-from lidarcfg.report.page import Part, Section, facts, figure, heading, page
+from lidarcfg.report.page import PageSection, Part, facts, figure, heading, page
 from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.report.rig_report import Baseline, Commands, rings_figure
@@ -137,12 +137,12 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         f"Comparison: {study.name}",
         f"{len(rigs)} rigs in the study {study.name}; compared by lidarcfg {__version__} on {date()}",
         [
-            Section("table", "Side by side", _side_by_side(study, rigs)),
-            Section("worst", "The worst subspaces", _worst(rigs)),
-            Section("robust", "If a LiDAR fails", _robust(rigs)),
-            Section("detection", "Detection", _detection(study, rigs)),
-            Section("coverage", "Coverage", _coverage(study, rigs)),
-            Section("rigs", "The rigs", _rigs(study, rigs)),
+            PageSection("table", "Side by side", _side_by_side(study, rigs)),
+            PageSection("worst", "The worst subspaces", _worst(rigs)),
+            PageSection("robust", "If a LiDAR fails", _robust(rigs)),
+            PageSection("detection", "Detection", _detection(study, rigs)),
+            PageSection("coverage", "Coverage", _coverage(study, rigs)),
+            PageSection("rigs", "The rigs", _rigs(study, rigs)),
             repeat_section("comparison", {"The complete study, with defaults": study.file}, commands.typed),
         ],
         _summary(rigs),

@@ -28,7 +28,7 @@ from lidarcfg.requirements.evidence import Evidence, SensorView
 from lidarcfg.requirements.object_judge import PlaceCounts
 from lidarcfg.requirements.shadow import HiddenColumns
 from lidarcfg.requirements.verdict import RequirementVerdict
-from lidarcfg.returns.beams import Outcome
+from lidarcfg.returns.beams import BeamOutcome
 from lidarcfg.returns.places import StandZone
 from lidarcfg.returns.post_visibility import STEP_M as POST_STEP_M
 from lidarcfg.returns.post_visibility import PostVisibility
@@ -55,10 +55,10 @@ COLUMNS = 4  # of sensors' views in a row
 VIEW_IN = 1.6
 FRAMES_IN = 2.3  # height of a row of plots over time
 BEAMS = {  # as they are drawn: colour, size, mark, words
-    Outcome.PASSES: ("0.55", 5.0, ".", "passes"),
-    Outcome.RETURNS: ("#0072B2", 9.0, "o", "returns"),
-    Outcome.HIDDEN: ("#D55E00", 9.0, "x", "something stands before it"),
-    Outcome.UNSEEN: ("#CC79A7", 9.0, "+", "out of range or view"),
+    BeamOutcome.PASSES: ("0.55", 5.0, ".", "passes"),
+    BeamOutcome.RETURNS: ("#0072B2", 9.0, "o", "returns"),
+    BeamOutcome.HIDDEN: ("#D55E00", 9.0, "x", "something stands before it"),
+    BeamOutcome.UNSEEN: ("#CC79A7", 9.0, "+", "out of range or view"),
 }
 
 
@@ -317,7 +317,7 @@ def _legend(figure: "Figure", views: Sequence[SensorView]) -> None:
     """The legend of the beams' marks that are drawn."""
     from matplotlib.lines import Line2D
 
-    drawn = {Outcome(int(code)) for view in views for code in np.unique(view.beams.outcome)}
+    drawn = {BeamOutcome(int(code)) for view in views for code in np.unique(view.beams.outcome)}
     shown = [
         Line2D([], [], color=code, marker=mark, ls="", ms=math.sqrt(size) + 1, label=words)
         for outcome, (code, size, mark, words) in BEAMS.items()

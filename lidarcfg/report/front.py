@@ -18,7 +18,7 @@ from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, d
 from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price
 from lidarcfg.report.inputs import report_inputs
 from lidarcfg.report.key_figures import KeyFigure
-from lidarcfg.report.page import Section, facts, figure, page
+from lidarcfg.report.page import PageSection, facts, figure, page
 from lidarcfg.report.plots import CUT_OFF, new_figure, save_figure
 from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.results import RESULTS, save_placement, save_progress, to_json, write_history, write_text
@@ -214,17 +214,17 @@ def front_page(study: Study, found: Front, values: dict[str, Any], commands: Com
         f"{counted(len(found.points), 'rig')} on the front of price and objective, of "
         f"{counted(len(found.candidates), 'combination')} of sensors; by lidarcfg {__version__} on {date()}",
         [
-            Section(
+            PageSection(
                 "front",
                 "Price and objective",
                 [drawn, _shown_points(study, found), "Prices are the study's, without a currency."],
             ),
-            Section(
+            PageSection(
                 "combinations",
                 "All combinations",
                 [candidates_table(found).without("name"), untried if tried < len(found.candidates) else None],
             ),
-            Section("search", "The search", [spent, how, ended]),
+            PageSection("search", "The search", [spent, how, ended]),
             repeat_section(
                 "front",
                 {"The complete study, with defaults": study.file},

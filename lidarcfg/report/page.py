@@ -20,7 +20,7 @@ FactRows = Sequence[tuple[str, object]]
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A part of a page under a heading; `key` is its address."""
 
     key: str
@@ -31,7 +31,7 @@ class Section:
 def page(
     title: str,
     about: str,
-    sections: Sequence[Section],
+    sections: Sequence[PageSection],
     summary: Sequence[KeyFigure] = (),
     notes: Sequence[Part] = (),
     verdict: Markup | None = None,

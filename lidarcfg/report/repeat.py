@@ -5,7 +5,7 @@ from typing import Any
 
 from lidarcfg.config.document import yaml_text
 from lidarcfg.report.describe import date, versions
-from lidarcfg.report.page import Part, Section, code, facts, folded
+from lidarcfg.report.page import PageSection, Part, code, facts, folded
 
 
 def repeat_section(
@@ -15,13 +15,13 @@ def repeat_section(
     again: str | None = None,
     seed: int | None = None,
     seconds: float | None = None,
-) -> Section:
+) -> PageSection:
     """The commands that give a result (`what`), what it may depend on, and its files; None: made without a file.
 
     `typed`: the command; None: it was made from Python. `again`: one that gives the same on any machine.
     Raises ConfigError if SOURCE_DATE_EPOCH is not a time.
     """
-    return Section("repeat", "How to repeat it", _parts(what, files, typed, again, seed, seconds))
+    return PageSection("repeat", "How to repeat it", _parts(what, files, typed, again, seed, seconds))
 
 
 def _parts(

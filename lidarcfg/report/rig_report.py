@@ -44,7 +44,7 @@ from lidarcfg.report.misses import (
     worst_object,
 )
 from lidarcfg.report.mounts import MOUNTS_CAPTION, draw_mounts, draw_surfaces
-from lidarcfg.report.page import FactRows, Part, Section, bullets, code, facts, figure, page
+from lidarcfg.report.page import FactRows, PageSection, Part, bullets, code, facts, figure, page
 from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.table import Column, Table, with_baseline
 from lidarcfg.report.text import truncate
@@ -129,23 +129,23 @@ def report(
     seen = rigs_seen(study, rig, found, placement, beside)
     sections = [
         _misses(it, seen) if seen else None,
-        Section("requirements", "The requirements", requirement_parts(details.verification, rig))
+        PageSection("requirements", "The requirements", requirement_parts(details.verification, rig))
         if details.verification
         else None,
         _choice(choice) if choice else None,
-        Section("asked", "The task", _task(it)),
-        Section("rig", "The rig", _rig(it)),
-        Section("search", "The search", _search(it, values)),
-        Section(
+        PageSection("asked", "The task", _task(it)),
+        PageSection("rig", "The rig", _rig(it)),
+        PageSection("search", "The search", _search(it, values)),
+        PageSection(
             "worst",
             "The paper's measure: max VSR and the worst subspaces" if seen else "The worst subspaces",
             _worst(it, bool(seen)),
         ),
-        Section("robust", "Failures and mounting errors", _robust(it)),
-        Section("blind", "Blind spots and shadow", _blind(it)),
+        PageSection("robust", "Failures and mounting errors", _robust(it)),
+        PageSection("blind", "Blind spots and shadow", _blind(it)),
         _detection(it, bool(seen)),
-        Section("coverage", "Coverage", _coverage(it)),
-        Section("trust", "Accuracy and limits", _trust(it)),
+        PageSection("coverage", "Coverage", _coverage(it)),
+        PageSection("trust", "Accuracy and limits", _trust(it)),
         repeat_section(
             "rig",
             {
@@ -192,7 +192,7 @@ def _minimised(study: Study, placement: Placement | None) -> list[KeyFigure]:
     return [KeyFigure(Column("objective", ".6f"), placement.objective, describe_objective(study), is_main=True)]
 
 
-def _misses(it: _Reported, rigs: tuple[SeenBy, ...]) -> Section:
+def _misses(it: _Reported, rigs: tuple[SeenBy, ...]) -> PageSection:
     other = compared_with(rigs)
     weights = " by their weights" * (len(set(rigs[0].misses.weights.tolist())) > 1)
     caption = (
@@ -203,10 +203,10 @@ def _misses(it: _Reported, rigs: tuple[SeenBy, ...]) -> Section:
     )
     drawn = draw_misses(it.study.body, [rigs[0], other] if other else [rigs[0]])
     lines = misses_lines(it.study, rigs, it.placement)
-    return Section("seen", "What is missed", [*lines, misses_table(rigs), figure(drawn, caption)])
+    return PageSection("seen", "What is missed", [*lines, misses_table(rigs), figure(drawn, caption)])
 
 
-def _choice(choice: ChoicePart) -> Section:
+def _choice(choice: ChoicePart) -> PageSection:
     """The combinations of sensors that were searched for the cheapest rig."""
     parts: list[Part] = [f"{choice.answer[0].upper()}{choice.answer[1:]}. {choice.searched}"]
     if choice.table.rows:
@@ -214,7 +214,7 @@ def _choice(choice: ChoicePart) -> Section:
         parts += [choice.table, falls]
     if choice.again:
         parts += ["To go on with this search, for as long again or longer:", code(choice.again)]
-    return Section("choice", "The combinations of sensors", parts)
+    return PageSection("choice", "The combinations of sensors", parts)
 
 
 def _task(it: _Reported) -> Iterator[Part]:
@@ -397,10 +397,10 @@ def _blind(it: _Reported) -> Iterator[Part]:
     )
 
 
-def _detection(it: _Reported, beside_misses: bool) -> Section:
+def _detection(it: _Reported, beside_misses: bool) -> PageSection:
     by_returns = any(item.returns for item in it.study.detection)
     title = "The paper's detection rates" if beside_misses and not by_returns else "Detection"
-    return Section("detection", title, _detection_parts(it, beside_misses, by_returns))
+    return PageSection("detection", title, _detection_parts(it, beside_misses, by_returns))
 
 
 def _detection_parts(it: _Reported, beside_misses: bool, by_returns: bool) -> Iterator[Part]:

@@ -10,7 +10,7 @@ from lidarcfg.report.describe import date, describe_rig
 from lidarcfg.report.evaluation import mounts_table
 from lidarcfg.report.evidence import draw_frames, draw_map, draw_views, map_caption
 from lidarcfg.report.mounts import MOUNTS_CAPTION, draw_mounts
-from lidarcfg.report.page import Part, Section, figure, heading, page, verdict_box
+from lidarcfg.report.page import PageSection, Part, figure, heading, page, verdict_box
 from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.table import Cell, Column, Row, Table, named
 from lidarcfg.report.text import truncate
@@ -103,8 +103,8 @@ def verdict_page(
         f"Verdict: {rig.name}",
         f"{describe_rig(rig)} in the study {study.name}; verified by lidarcfg {__version__} on {date()}",
         [
-            Section("requirements", "Requirement by requirement", [counts, *requirement_parts(found, rig)]),
-            Section("rig", "The rig", [mounts_table(rig), drawn]),
+            PageSection("requirements", "Requirement by requirement", [counts, *requirement_parts(found, rig)]),
+            PageSection("rig", "The rig", [mounts_table(rig), drawn]),
             repeat_section("verdict", files, command),
         ],
         verdict=verdict_of(found.verdict, against),

@@ -21,7 +21,7 @@ BEYOND_M = 1.0  # behind the farthest range: nothing there is a return
 ENDS = 1 - 1e-9  # of the way to a hit: the object does not hide itself
 
 
-class Outcome(IntEnum):
+class BeamOutcome(IntEnum):
     """What happens to a beam."""
 
     PASSES = 0  # beside the object
@@ -39,12 +39,12 @@ class PassingBeams:
 
     triangles_rad: Array  # (T, 3, 2) azimuths and elevations of the corners of the object's triangles
     at_rad: Array  # (N, 2) where each beam meets the object, or passes it at its distance
-    outcome: NDArray[np.uint8]  # (N,) an Outcome each
+    outcome: NDArray[np.uint8]  # (N,) an BeamOutcome each
 
     @property
     def returns(self) -> int:
         """The number of beams that return."""
-        return int((self.outcome == Outcome.RETURNS).sum())
+        return int((self.outcome == BeamOutcome.RETURNS).sum())
 
 
 def passing_beams(place: Array, target: Target, mount: Mount, phase: int, obstacles: Obstacles) -> PassingBeams:
@@ -96,8 +96,10 @@ def passing_beams(place: Array, target: Target, mount: Mount, phase: int, obstac
     in_view = np.mod(np.degrees(gate) - first, 360) <= ((last - first) % 360 or 360.0)
     allowed = in_view & (range_m >= fires.range_m[0]) & (range_m <= fires.range_m[1])
     hidden = _hidden(starts_m[hits], ends_m, obstacles)
-    outcome = np.full(len(hits), Outcome.PASSES, np.uint8)
-    outcome[hits] = np.where(hidden, Outcome.HIDDEN, np.where(allowed[hits], Outcome.RETURNS, Outcome.UNSEEN))
+    outcome = np.full(len(hits), BeamOutcome.PASSES, np.uint8)
+    outcome[hits] = np.where(
+        hidden, BeamOutcome.HIDDEN, np.where(allowed[hits], BeamOutcome.RETURNS, BeamOutcome.UNSEEN)
+    )
     at_rad[hits] = _angles(ends_m - origin_m, middle_rad)
     return PassingBeams(seen_rad[target.mesh[1]], at_rad, outcome)
 

@@ -195,7 +195,7 @@ def return_counts(
     return [found[number] for number in range(len(targets))]
 
 
-class MissCounter:
+class UndetectedCounter:
     """1 − the detection rate of an object, trial after trial.
 
     What is known of sensors at their latest poses is kept, so that a trial counts the returns of those that moved.

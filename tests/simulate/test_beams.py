@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.packets.families import pattern
-from lidarcfg.returns.beams import Outcome, passing_beams
+from lidarcfg.returns.beams import BeamOutcome, passing_beams
 from lidarcfg.returns.counts import returns
 from lidarcfg.returns.scanners import Poses, compiled, scanner
 from lidarcfg.returns.target import Target
@@ -56,7 +56,7 @@ def test_what_hits_is_inside_the_silhouette():
             ]
             inside |= (np.array(turns) >= -1e-5).all(axis=0) | (np.array(turns) <= 1e-5).all(axis=0)
         assert found.returns > 5
-        assert inside[found.outcome != Outcome.PASSES].all()
+        assert inside[found.outcome != BeamOutcome.PASSES].all()
 
 
 def test_directions_are_the_vehicles():

@@ -20,7 +20,7 @@ from lidarcfg.study.criterion import Criterion, objective_of
 from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.loading import load_study
 from lidarcfg.study.mounting import lidars_at
-from lidarcfg.study.return_counts import MissCounter, return_counts
+from lidarcfg.study.return_counts import UndetectedCounter, return_counts
 from lidarcfg.study.trial import Trial
 from lidarcfg.vsr.cones import poses as sensor_poses
 from lidarcfg.vsr.cones import rig_lidars
@@ -155,7 +155,7 @@ def test_the_objective_is_one_minus_the_rate_and_refutes_exactly(tmp_path, name)
     one = next(one for one in loaded.detection_targets if one.item.name == name)
     lidars = lidars_at(loaded.slots, poses)
     numbers = range(len(lidars))
-    counter = MissCounter(one, loaded.rig(poses).mounts, loaded.obstacles)
+    counter = UndetectedCounter(one, loaded.rig(poses).mounts, loaded.obstacles)
     at = sensor_poses(lidars)
     for limit in (0.2 * value, value, np.nextafter(value, 0), np.nextafter(value, 1), 1.5 * value):
         found = counter.rate(numbers, at, limit)
@@ -177,7 +177,7 @@ def test_a_limit_that_no_rate_reaches_refutes_nothing(tmp_path, name, limit):
     scanners = scanners_of(rig.mounts)
     lidars = rig_lidars(rig)
     (seen,) = return_counts([one], scanners, lidars, loaded.obstacles)
-    counter = MissCounter(one, rig.mounts, loaded.obstacles)
+    counter = UndetectedCounter(one, rig.mounts, loaded.obstacles)
     found = counter.rate(range(len(lidars)), sensor_poses(lidars), limit)
     assert 0 < found < 1
     assert found == 1.0 - seen.detection.rate

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from lidarcfg.config.models import Weight, validation_error
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.study.return_counts import DetectionTarget, MissCounter
+from lidarcfg.study.return_counts import DetectionTarget, UndetectedCounter
 from lidarcfg.study.terms.term import StudyKeys, Term, TermContext
 from lidarcfg.study.trial import Trial
 from lidarcfg.vsr.detection import DetectionObject, free_places, undetected
@@ -71,7 +71,7 @@ class MissRate(DetectionTerm):
         Term.__init__(self, weight)
         self._target = target
         self._mounts = mounts
-        self._counter = MissCounter(target, mounts, NO_OBSTACLES)
+        self._counter = UndetectedCounter(target, mounts, NO_OBSTACLES)
         self.work = 1e3 * len(target.places)
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
@@ -81,9 +81,9 @@ class MissRate(DetectionTerm):
         """The lower bound from the places where the object is most likely to be missed."""
         return self._counter_for(trial).lower_bound(trial.kept, trial.poses, share)
 
-    def _counter_for(self, trial: Trial) -> MissCounter:
+    def _counter_for(self, trial: Trial) -> UndetectedCounter:
         obstacles = trial.visibility.obstacles if trial.visibility else NO_OBSTACLES
         counter = self._counter
         if counter.obstacles is not obstacles:
-            counter = self._counter = MissCounter(self._target, self._mounts, obstacles)
+            counter = self._counter = UndetectedCounter(self._target, self._mounts, obstacles)
         return counter
