@@ -81,7 +81,7 @@ def test_the_command_takes_and_describes_it(toy, write, tmp_path):
     assert result["objective"] == pytest.approx(0.5, abs=0.02)
     page = (tmp_path / "out/report.html").read_text()
     assert "1 × the mean height above 1 m" in page
-    assert "not computed, as the objective does not need them" in page
+    assert "settled without a full evaluation" not in page  # it needs no subspaces
 
 
 @pytest.mark.parametrize(
