@@ -6,7 +6,7 @@ sensors are chosen in pairs. A combination without any sensor is none, nor is on
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement, product
@@ -64,6 +64,16 @@ class Part:
         each = [f"{count}x{_plain(model)}" for model, count in Counter(self.sensors).items()]
         return "-".join([self.group.name, *each]) if each else ""
 
+    def entries(self) -> Iterator[tuple[Choice, dict[str, Any]]]:
+        """For each model what a study's file says of its sensors."""
+        counts = Counter(choice.model for choice in self.choices)
+        for choice in {choice.model: choice for choice in self.choices}.values():
+            values = {key: value for key, value in self.group.values.items() if key != "choose"}
+            values |= {"model": choice.model, "count": counts[choice.model] * self.group.together}
+            if len(counts) > 1 and "name" in values:
+                values["name"] = f"{values['name']}_{_plain(choice.sensor.name)}"
+            yield choice, values
+
 
 @dataclass(frozen=True)
 class Combination:
@@ -104,37 +114,38 @@ class Combination:
         """The group of the whole study, by slot."""
         return tuple(i for i, part in enumerate(self.parts) for _ in part.sensors)
 
+    @property
+    def slot_names(self) -> list[str]:
+        """The names of its sensors."""
+        found: list[str] = []
+        for part in self.parts:
+            for _, values in part.entries():
+                count = values["count"]
+                found += [slot_name(values.get("name"), count, number, len(found) + number) for number in range(count)]
+        return found
+
     @cached_property
     def study(self) -> Study:
-        """The study in which each group's first sensors are of these models. Raises ConfigError for their names."""
+        """The study in which each group's first sensors are of these models."""
         parent = self.parent
         numbers: list[int] = []
         slots: list[Slot] = []
-        files: list[dict[str, Any]] = []
+        names = iter(self.slot_names)
+        files = []
         for part in self.parts:
-            group = part.group
-            of_model = {choice.model: choice for choice in part.choices}
-            counts = Counter(choice.model for choice in part.choices)
-            place = group.first
-            for model, places in counts.items():
-                choice = of_model[model]
-                count = places * group.together
-                values = {key: value for key, value in group.values.items() if key != "choose"}
-                values |= {"model": model, "count": count}
-                if len(counts) > 1 and "name" in values:
-                    values["name"] = f"{values['name']}_{_plain(choice.sensor.name)}"
+            place = part.group.first
+            for choice, values in part.entries():
                 files.append(values)
-                for number in range(count):
-                    name = slot_name(values.get("name"), count, number, len(slots))
+                given = values.get("azimuth_fov_deg")
+                fov_deg = choice.sensor.field_of_view_deg(tuple(given) if given else None)
+                for number in range(values["count"]):
+                    is_image = number % part.group.together > 0
+                    surface = choice.surface.image if choice.surface and is_image else choice.surface
                     of = parent.slots[place + number]
-                    surface = choice.surface.image if choice.surface and number % group.together else choice.surface
-                    given = group.values.get("azimuth_fov_deg")
-                    fov_deg = choice.sensor.field_of_view_deg(tuple(given) if given else None)
-                    slot = replace(of, name=name, sensor=choice.sensor, model=model, choices=())
+                    slot = replace(of, name=next(names), sensor=choice.sensor, model=choice.model, choices=())
                     slots.append(replace(slot, azimuth_fov_deg=fov_deg, surface=surface))
                     numbers.append(place + number)
-                place += count
-        _check_names(slots, parent.name)
+                place += values["count"]
         used = {values["model"] for values in files}
         named = {model: each for model, each in parent.file["prices"].items() if model in used}
         file = parent.file | {"sensors": files, "prices": named}
@@ -142,9 +153,9 @@ class Combination:
         return replace(parent, name=self.name, slots=tuple(slots), requirements=asked, file=file)
 
 
-def _check_names(slots: Sequence[Slot], study: str) -> None:
+def _check_names(names: Sequence[str], study: str) -> None:
     """Raises ConfigError for two sensors of one name, and for a name that is too long."""
-    for slot, times in Counter(one.name for one in slots).items():
+    for slot, times in Counter(names).items():
         if times > 1:
             raise ConfigError(f"{study}: two sensors of a combination are called {slot!r}; rename a group")
         if len(slot) > NAME_MAX:
@@ -153,7 +164,10 @@ def _check_names(slots: Sequence[Slot], study: str) -> None:
 
 
 def combinations(study: Study) -> list[Combination]:
-    """All combinations of a study that has choices, in the order of its groups and of their choices."""
+    """All combinations of a study that has choices, in the order of its groups and of their choices.
+
+    Raises ConfigError for names of sensors that a combination cannot have.
+    """
     groups = _groups(study)
     ways = [combinations_with_replacement(study.slots[group.first].choices, group.places) for group in groups]
     found: list[Combination] = []
@@ -168,6 +182,7 @@ def combinations(study: Study) -> list[Combination]:
             names[name] += 1
             suffix = f"-{names[name]}" if names[name] > 1 else ""
             found.append(Combination(name + suffix, study, parts))
+            _check_names(found[-1].slot_names, study.name)
     return found
 
 
