@@ -1,4 +1,5 @@
 from .capture.decode import decode as decode
+from .capture.writer import Writer as Writer
 from .clouds.cloud import PointCloud as PointCloud
 from .errors import LidarcfgError as LidarcfgError
 from .io.export import export as export
@@ -9,6 +10,7 @@ from .sensors.rig import load_rig as load_rig
 from .sensors.rig import save_rig as save_rig
 from .sensors.sensor import Sensor as Sensor
 from .sensors.sensor import load_sensor as load_sensor
+from .simulate.drive import Drive as Drive
 from .study.evaluation import evaluate as evaluate
 from .study.study import Study as Study
 from .study.study import load_study as load_study

@@ -183,3 +183,11 @@ def directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Array:
     return np.stack(
         [flat * maths.cos(azimuth), -flat * maths.sin(azimuth), maths.sin(elevation) + 0 * azimuth], axis=-1
     )
+
+
+def quaternion_xyzw(T: Array) -> tuple[float, float, float, float]:
+    """The rotation of T (4, 4) as a unit quaternion, w not negative."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True).tolist()
+    return x, y, z, w

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.frames import frames as frames_of
+from lidarcfg.capture.ethernet import ethernet_frames
 from lidarcfg.capture.pcap import Datagram, read_datagrams, write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.packets.codec import Payloads
@@ -120,7 +120,7 @@ def frames(datagrams):
         number = numbers[datagram.host] = numbers.get(datagram.host, -1) + header.numbered
         payload = np.frombuffer(datagram.payload, np.uint8)[None]
         payloads = Payloads(np.array([datagram.time_ns]), payload, datagram.port, headers, header, number)
-        yield frames_of(datagram.host, payloads)
+        yield ethernet_frames(datagram.host, payloads)
 
 
 def write_datagrams(path, datagrams) -> int:

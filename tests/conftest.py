@@ -12,12 +12,6 @@ def pytest_addoption(parser):
     parser.addoption("--nightly", action="store_true", help="all cases, and the long form of tests/reliability")
 
 
-def pytest_configure(config):
-    config.addinivalue_line(
-        "markers", "nightly: one more case of a test, whose others run always; with --nightly alone"
-    )
-
-
 def pytest_collection_modifyitems(config, items):
     if config.getoption("nightly"):
         return

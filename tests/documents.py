@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from hypothesis import strategies as st
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.config.models import load
 from lidarcfg.errors import LidarcfgError
@@ -152,7 +152,7 @@ def use_sensor(path):
         return
     sent = path.with_name("sent.pcap")
     write_pcap(
-        sent, in_time_order(simulated_frames(rig, HALL[0], np.eye(4), packet_period_ns(sensor), start_ns=10**18))
+        sent, in_time_order(simulated_packets(rig, HALL[0], np.eye(4), packet_period_ns(sensor), start_ns=10**18))
     )
     data = b"".join(d.payload for d in datagrams_of(sent) if len(d.payload) == PACKET.itemsize)
     returns = decode(sensor, np.frombuffer(data, PACKET), np.full(len(data) // PACKET.itemsize, 10**18))

@@ -15,7 +15,7 @@ from lidarcfg.vsr.cones import rig_lidars
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.scene_file import SceneFile
-from lidarcfg.world.tracer import Obstacles, Tracer, build_bvh
+from lidarcfg.world.tracer import Tracer, build_bvh, obstacles_of
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 QUADS = (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)
@@ -49,7 +49,7 @@ def revolution(one, phase, phases):
 
     def scheduled(phase_deg):
         at = replace(one, azimuth_fov_deg=None, phase_deg=phase_deg)
-        return next(how.schedule(at, start_ns, packets, packets)).firings
+        return next(how.schedule(at, start_ns, [range(packets)])).firings
 
     first_rad = 0.0
     if fired.start_rad is None:  # the first laser to fire is at the phase, not where the packet's stamp is
@@ -109,4 +109,4 @@ def at_place(mesh, place):
 def obstacles(mesh):
     """A mesh in the way, relative to a point that is not the origin."""
     point = np.array([3.0, -2.0, 1.0])
-    return Obstacles.of(build_bvh(scene_with([mesh]), np.array([True]), point), point)
+    return obstacles_of(build_bvh(scene_with([mesh]), np.array([True]), point), point)

@@ -22,9 +22,9 @@ from lidarcfg.cli.main import cli
 from lidarcfg.config.models import Model, load
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.report.summaries import summary
-from lidarcfg.requirements.kinds import KINDS
-from lidarcfg.requirements.scenario_file import ScenarioFile
-from lidarcfg.search.plan import PlanFile
+from lidarcfg.requirements.file import KINDS
+from lidarcfg.requirements.scenarios.file import ScenarioFile
+from lidarcfg.search.sweep_plan import PlanFile
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Sensor
@@ -73,6 +73,7 @@ FOLDERS += [
     ["v1.0-lidarcfg", "maps", "samples"],
 ]  # KITTI's two, nuScenes with data
 MAGIC = {
+    ".usda": b"#usda 1.0",
     ".pcap": b"\xd4\xc3\xb2\xa1",  # little-endian, microseconds
     ".parquet": b"PAR1",
     ".ply": b"ply\nformat binary_little_endian 1.0\n",
@@ -183,6 +184,9 @@ def check_kind(path):
     elif path.suffix == ".bin":
         assert content
         assert len(content) % 16 == 0  # four float32 a point
+    elif path.suffix == ".mat3x4f":
+        assert content
+        assert len(content) % 48 == 0  # twelve float32 a ray
     elif b"ros__parameters" in content:
         assert content.startswith(b"/**:")
     else:
@@ -200,6 +204,7 @@ def project(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_command_of_a_page_runs(page, project, request):
     """In order, with Python in between; files that the page shows are there from the start."""
@@ -233,6 +238,7 @@ def assert_shown(shown, made):
         assert made == (pytest.approx(shown, rel=1e-3, abs=1e-9) if isinstance(shown, int | float) else shown)
 
 
+@pytest.mark.slow
 def test_every_example_of_help_runs(project, blank_pictures, capsys):
     """In the order of the first page: later ones use what earlier ones wrote."""
     examples = help_examples()
@@ -241,6 +247,7 @@ def test_every_example_of_help_runs(project, blank_pictures, capsys):
         run(quick(words))
 
 
+@pytest.mark.slow
 def test_the_demo(project, blank_pictures, capsys):
     """Its commands, in less time, and the Python that sums them up: it counts what other readers count."""
     script = (ROOT / "tools/demo-commands.sh").read_text()
@@ -279,6 +286,7 @@ def test_the_demo(project, blank_pictures, capsys):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
 def test_every_example_runs(script, project, blank_pictures, capsys):
     runpy.run_path(str(script), run_name="__main__")
@@ -331,6 +339,34 @@ def test_links_and_paths_lead_somewhere(page):
         assert os.access(ROOT / path, os.X_OK) or path.endswith(".py"), path
 
 
+def defined(path):
+    """The names that a file defines: of Python also methods, as Class.method; of C++ every word."""
+    text = path.read_text()
+    if path.suffix != ".py":
+        return set(re.findall(r"\w+", text))
+    found = set()
+    for node in ast.parse(text).body:
+        names = [node.name] if hasattr(node, "name") else []
+        targets = getattr(node, "targets", [getattr(node, "target", None)])
+        names += [one.id for one in targets if isinstance(one, ast.Name)]
+        found |= {
+            *names,
+            *(f"{names[0]}.{one.name}" for one in getattr(node, "body", []) if names and hasattr(one, "name")),
+        }
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_code_that_a_page_names_is_there(page):
+    """`path/file.py: name`, by the file's own syntax tree."""
+    text = " ".join(page.read_text().split())
+    for path, name in re.findall(r"`((?:lidarcfg|tests|tools)/[\w./-]+): ([\w.]+)`", text):
+        assert (ROOT / path).is_file(), path
+        assert name in defined(ROOT / path), f"{path}: {name}"
+    if page.stem == "architecture":
+        assert text.count(".py: ") > 30
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_pictures_are_small_and_described(page):
     """One can see them without waiting, and their text says what is in them."""
@@ -381,6 +417,7 @@ def parts(annotation):
 FILES = [StudyFile, ScenarioFile, PlanFile, RigFile, SceneFile, Sensor, Motion, Realism]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [*FILES, *KINDS.values()])
 def test_every_key_of_a_file_is_documented(model):
     text = documentation()

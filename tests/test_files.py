@@ -15,6 +15,7 @@ from lidarcfg.files import example, remove_outdated, remove_temporary, replacing
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.slow
 def test_examples_are_found_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert example("data/studies/sedan.yaml") == ROOT / "data/studies/sedan.yaml"

@@ -16,6 +16,8 @@ from lidarcfg.errors import PacketError
 from lidarcfg.packets.velodyne.layout import PACKET
 from tests.capture_fixtures import AT_NS, no_warning, write_datagrams
 
+pytestmark = pytest.mark.slow
+
 TOOL = Path(__file__).parents[1] / "tools" / "fuzz.py"
 
 

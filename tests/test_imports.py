@@ -5,10 +5,14 @@ import re
 import subprocess
 import sys
 from collections import defaultdict
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+from lidarcfg import core
 
 PACKAGE = Path(__file__).parents[1] / "lidarcfg"
 # The folder listing of the package, from the ground up: each line imports only what stands above it, and itself.
@@ -35,26 +39,41 @@ LISTING = (
 LEVEL = {name: level for level, names in enumerate(LISTING) for name in names}
 
 
+@cache
 def modules():
     """Each module of the package, the core's by its stub: its name, without `lidarcfg.` and `.__init__`, and its text."""
-    for path in [*sorted(PACKAGE.rglob("*.py")), *sorted((PACKAGE / "core").glob("[!_]*.pyi"))]:
-        name = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
-        yield name.removesuffix("__init__").rstrip("."), path.read_text()
+    paths = [*sorted(PACKAGE.rglob("*.py")), *sorted((PACKAGE / "core").glob("[!_]*.pyi"))]
+    names = [".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in paths]
+    texts = [path.read_text() for path in paths]
+    return [(name.removesuffix("__init__").rstrip("."), text) for name, text in zip(names, texts, strict=True)]
 
 
+@cache
 def imports():
     """(importing module, imported module) of the whole package, inside functions too, and for types only."""
+    found = []
     for name, text in modules():
         for node in ast.walk(ast.parse(text)):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom):
                 names = [f"{node.module}.{alias.name}" for alias in node.names]
-            yield from ((name, one.removeprefix("lidarcfg.")) for one in names if one.startswith("lidarcfg."))
+            found += [(name, one.removeprefix("lidarcfg.")) for one in names if one.startswith("lidarcfg.")]
+    return found
 
 
 def test_the_listing_names_what_is_there():
     there = {path.stem for path in PACKAGE.glob("*.py")} | {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert there - {"__init__", "__main__"} == set(LEVEL)
+
+
+def test_the_core_is_divided_as_the_package():
+    """A submodule, and a folder of kernels, is named as the package that it serves; `maths` is of a module."""
+    compiled = {name for name, value in vars(core.compiled).items() if isinstance(value, ModuleType)}
+    packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    assert compiled - packages == {"maths"}
+    assert {path.parent.name for path in (PACKAGE / "core").glob("*/*.cpp")} - {"bind"} == compiled - {"maths"}
+    assert {path.stem for path in (PACKAGE / "core").glob("*.pyi")} - {"__init__"} == compiled
+    assert compiled <= vars(core).keys()
 
 
 def test_imports_run_one_way():
@@ -104,7 +123,7 @@ def test_no_modules_import_each_other():
         while other not in names:  # a member of a module
             other = other.rpartition(".")[0]
         below[one] |= {other} - {one}  # the core has its modules of compiled loops
-    assert "core.visibility" in below["core.vsr"]
+    assert "core.world" in below["core.vsr"]
     assert "packets.velodyne" in below["packets.families"]
     assert "solvers.auto" in below["solvers"]
     TopologicalSorter(below).prepare()  # raises an error that lists the modules of a cycle
@@ -127,7 +146,7 @@ def test_only_packets_knows_a_family():
 def test_nobody_else_speaks_of_its_bytes(word):
     allowed = {
         "pps": {PACKAGE / "sensors/rig.py", PACKAGE / "sensors/sensor.py"},  # which name the renamed key
-        "1206": {PACKAGE / "io/messages.py"},  # which has ROS's own definition of velodyne_msgs
+        "1206": {PACKAGE / "io/ros_messages.py"},  # which has ROS's own definition of velodyne_msgs
     }.get(word, set())
     files = [p for p in PACKAGE.rglob("*.py") if PACKAGE / "packets" / "velodyne" not in p.parents and p not in allowed]
     assert [str(path) for path in files if word in path.read_text()] == []

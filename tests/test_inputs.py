@@ -94,6 +94,7 @@ def test_a_pipe_is_read_as_it_is_written_and_not_waited_for_in_vain(tmp_path, mo
     thread.join()
 
 
+@pytest.mark.slow
 def test_an_archive_that_unpacks_to_gigabytes(tmp_path):
     """By the size that it declares, whether that is true or not; and one that memory does not hold."""
     path = tmp_path / "a.npz"
@@ -136,6 +137,7 @@ def test_commands_refuse_what_memory_does_not_hold(tmp_path, monkeypatch, words,
     assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["rig.yaml", "study.yaml"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "kind", "what"),
     [
@@ -195,6 +197,7 @@ def test_what_the_system_has_no_memory_for_is_one_line_that_says_what():
         assert not inputs.is_out_of_memory(error)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits as Linux has them")
 @pytest.mark.parametrize(
     ("megabytes", "words", "what"),
@@ -251,6 +254,7 @@ def test_a_large_file_says_what_a_small_one_does():
                 Document(head + bad, "f")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "what"),
     [

@@ -7,6 +7,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 from lidarcfg.cli.main import cli
@@ -52,6 +53,7 @@ def test_the_image_gets_all_that_a_build_reads():
         assert any(path == one or path.startswith(f"{one}/") for one in copied), path
 
 
+@pytest.mark.slow
 def test_its_commands_are_understood():
     """pip's and ours, asked for help with the options given; the extras are the package's."""
     commands = [shlex.split(part) for name, text in instructions() if name == "RUN" for part in text.split(" && ")]

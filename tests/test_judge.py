@@ -12,10 +12,12 @@ from scipy.stats import binomtest
 from lidarcfg.returns.counts import returns
 from lidarcfg.returns.scanners import compiled, poses_of, scanner
 from lidarcfg.returns.target import Target
-from lidarcfg.world.tracer import Obstacles, build_bvh
+from lidarcfg.world.tracer import build_bvh, obstacles_of
 from lidarcfg.world.vehicle import load_vehicle
 from tests.returns_cases import mount
 from tests.test_tools import ROOT
+
+pytestmark = pytest.mark.slow
 
 SEDAN = ROOT / "data/vehicles/sedan.ply"
 RIG = """\
@@ -64,7 +66,7 @@ def test_it_counts_as_the_simulator_does_as_far_as_phases_explain(judge, tmp_pat
     one = mount(model, (0.3, 0.4, 1.9), (-12, 7, 30))
     poses = poses_of([one])
     tree = build_bvh(load_vehicle(SEDAN).scene, np.array([True]), np.zeros(3))
-    obstacles = Obstacles.of(tree, np.zeros(3))
+    obstacles = obstacles_of(tree, np.zeros(3))
     for name, counted in found.items():
         thing = judge.OBJECTS[name]()
         drawn = judge.places(body, thing, 10.0, np.random.default_rng([7, list(judge.OBJECTS).index(name)]))

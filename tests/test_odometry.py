@@ -13,6 +13,8 @@ from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 SUBURB = ROOT / "data/scenes/suburb.yaml"
 DRIVE = ROOT / "data/trajectories/suburb.tum"

@@ -17,9 +17,9 @@ from lidarcfg.config.document import Document, document, inline, yaml_text
 from lidarcfg.config.kinds import kind_of
 from lidarcfg.config.models import load, loads, whole_values
 from lidarcfg.errors import ConfigError
-from lidarcfg.report.results import fingerprint
+from lidarcfg.report.search_log import fingerprint
 from lidarcfg.search.combinations import combinations
-from lidarcfg.search.plan import load_plan
+from lidarcfg.search.sweep_plan import load_plan
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.study.file import StudyFile
 from lidarcfg.study.study import with_solver
@@ -28,6 +28,8 @@ from lidarcfg.world.scene_file import SceneFile
 from tests.command_line import lidarcfg, without_drawing
 from tests.studies import study_of
 from tests.test_docs import PAGES, blocks, named_files
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("data/*", "docs/examples", "tests/search/studies")

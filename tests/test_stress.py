@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError
@@ -36,6 +36,8 @@ from tests.capture_fixtures import PLY, datagrams_of, mount, no_warning, room, s
 from tests.packets.velodyne.shaped import decode, firings, packet_period_ns, rays
 from tests.search.solvers.test_solvers import begun
 from tests.vsr.test_grid import check
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
 FAN = tuple(np.arange(-15.0, 16.0, 2.0))
@@ -454,7 +456,7 @@ def test_what_is_decoded_far_from_the_origin(tmp_path, vehicle, position):
     centre = T[:3, 3] + (1.0, -2.0, 0.5)
     count = 80
     duration = count * packet_period_ns(sensor)
-    streams = simulated_frames(rig, room(tmp_path, centre), T_world_vehicle, duration, start_ns=10**18)
+    streams = simulated_packets(rig, room(tmp_path, centre), T_world_vehicle, duration, start_ns=10**18)
     write_pcap(tmp_path / "far.pcap", in_time_order(streams))
     data = [d for d in datagrams_of(tmp_path / "far.pcap") if len(d.payload) == PACKET.itemsize]
     packets = np.frombuffer(b"".join(d.payload for d in data), PACKET)

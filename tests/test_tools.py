@@ -60,6 +60,7 @@ def test_a_better_rig_takes_the_place_of_the_best_known(tool, tmp_path, monkeypa
     assert [run["seed"] for run in bench.finished()] == [1000, 1001, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["objects", "vehicles"])
 def test_the_meshes_in_data_are_what_a_script_makes(tool, tmp_path, name):
     tool(f"make_{name}").main(tmp_path)

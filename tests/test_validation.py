@@ -12,6 +12,8 @@ from scipy.stats import spearmanr
 from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.study import load_study
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 STUDY = """
 region: {min_m: [-12, -8, 0], max_m: [12, 8, 3], cuboid_m: [1, 1, 0.5]}

@@ -28,6 +28,7 @@ def distances_m(name, points):
     return scene.compute_signed_distance(np.asarray(points, np.float32)).numpy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SIZES_M)
 def test_a_vehicle_is_one_closed_mesh_on_the_ground(name):
     body = read(name)

@@ -21,15 +21,15 @@ import numpy as np
 import open3d as o3d
 from page import ROOT, machine
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
-from lidarcfg.capture.frames import frames
+from lidarcfg.capture.ethernet import ethernet_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.geometry import Array, directions, pose, transform
 from lidarcfg.packets.families import codec
-from lidarcfg.sensors.firing import Firings
+from lidarcfg.sensors.firing import Firings, spans
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
-from lidarcfg.simulate.tasks import CHUNK_RAYS
+from lidarcfg.simulate.sensor_runs import CHUNK_RAYS
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.scene import Scene, load_scene
@@ -86,7 +86,7 @@ def rays_of(mount: Mount, duration_ns: int) -> Iterator[tuple[Firings, Array, Ar
     sensor = mount.sensor
     T = mount.T_vehicle_sensor
     pace = maker.pace(mount)
-    for batch in maker.schedule(mount, START_NS, duration_ns // pace.period_ns, CHUNK_RAYS // pace.firings):
+    for batch in maker.schedule(mount, START_NS, spans(duration_ns // pace.period_ns, CHUNK_RAYS // pace.firings)):
         fired = batch.firings
         azimuth_rad = fired.encoder_rad + sensor.azimuth_offset_rad[fired.laser]
         axes = directions(azimuth_rad, sensor.elevation_rad[fired.laser])
@@ -192,12 +192,12 @@ def bare(rig: Rig, scene: Scene, duration_ns: int) -> tuple[Callable[[], None], 
 def encoding(mount: Mount, packets: int, path: Path) -> tuple[Callable[[], None], int]:
     """What encodes and writes so many packets, all of whose returns are there; and how many returns."""
     maker = codec(mount.sensor)
-    (batch,) = maker.schedule(mount, START_NS, packets, packets)
+    (batch,) = maker.schedule(mount, START_NS, [range(packets)])
     range_m = np.random.default_rng(1).uniform(1, 99, (len(batch.firings.time_ns), 1))
     reflectivity = np.full(range_m.shape, 9, np.uint8)
 
     def write() -> None:
-        write_pcap(path, [frames(mount.host, maker.encode(mount, batch, range_m, reflectivity))])
+        write_pcap(path, [ethernet_frames(mount.host, maker.encode(mount, batch, range_m, reflectivity))])
 
     return write, int(range_m.size)
 
@@ -211,7 +211,7 @@ def writing(folder: Path, simulated_s: float) -> None:
     write, returns = encoding(rig.mounts[0], 2000, folder / "b.pcap")
 
     def whole() -> None:
-        write_pcap(folder / "a.pcap", in_time_order(simulated_frames(rig, scene, np.eye(4), duration_ns)))
+        write_pcap(folder / "a.pcap", in_time_order(simulated_packets(rig, scene, np.eye(4), duration_ns)))
 
     leg_s = LENGTH_M / SPEED_M_S
     turns = tuple(
@@ -221,18 +221,18 @@ def writing(folder: Path, simulated_s: float) -> None:
     drive = Trajectory(pose((-LENGTH_M / 2, 0.0, 0.0), (0.0, 0.0, 0.0)), build_path(Motion(poses=turns)), START_NS)
 
     def driven() -> None:
-        write_pcap(folder / "c.pcap", in_time_order(simulated_frames(rig, scene, drive, duration_ns)))
+        write_pcap(folder / "c.pcap", in_time_order(simulated_packets(rig, scene, drive, duration_ns)))
 
     wide = replace(rig, mounts=tuple(replace(one, realism=Realism(divergence=True)) for one in rig.mounts))
     street = load_scene(ROOT / "data/scenes/street.yaml")
 
     def sent(of: Rig, stage: Scene) -> Callable[[], None]:
         return lambda: write_pcap(
-            folder / "d.pcap", in_time_order(simulated_frames(of, stage, np.eye(4), duration_ns // 4))
+            folder / "d.pcap", in_time_order(simulated_packets(of, stage, np.eye(4), duration_ns // 4))
         )
 
     def start() -> None:
-        next(in_time_order(simulated_frames(rig, scene, np.eye(4), duration_ns)))
+        next(in_time_order(simulated_packets(rig, scene, np.eye(4), duration_ns)))
 
     measured: dict[str, list[tuple[float, float]]] = {}
     for run in range(RUNS + 1):  # the first is not counted
@@ -280,8 +280,8 @@ LONG = """
 import sys, time
 import numpy as np
 from pathlib import Path
-from lidarcfg.capture.export import in_time_order, simulated_frames
-from lidarcfg.simulate.tasks import SimulationOptions
+from lidarcfg.capture.export import in_time_order, simulated_packets
+from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.world.scene import load_scene
 from lidarcfg.sensors.rig import load_rig
@@ -293,7 +293,7 @@ def progress(done_ns):
     while marks and done_ns >= marks[0] * 60e9:
         print(f"| {marks.pop(0):g} | {peak_mb():.0f} | {time.perf_counter() - began:.0f} |", flush=True)
 scene, rig = load_scene(folder / "scene.yaml"), load_rig(folder / "rig.yaml")
-streams = simulated_frames(rig, scene, np.eye(4), round(minutes * 60e9), options=SimulationOptions(progress))
+streams = simulated_packets(rig, scene, np.eye(4), round(minutes * 60e9), options=SimulationOptions(progress))
 write_pcap(folder / "long.pcap", in_time_order(streams))
 """
 

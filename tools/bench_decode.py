@@ -28,7 +28,7 @@ from page import ROOT, machine
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
+from lidarcfg.capture.ethernet import ETHERNET_HEADER, IP, RECORD, UDP
 from lidarcfg.capture.pcap import FILE_HEADER
 from lidarcfg.packets.velodyne.encode import encode
 from lidarcfg.packets.velodyne.layout import PACKET

@@ -79,7 +79,7 @@ def seen() -> None:
 
 def verdict() -> None:
     """Verify the rig of the documentation's page, and photograph the beginning of the report."""
-    text = (ROOT / "docs/reading-the-verdict.md").read_text()
+    text = (ROOT / "docs/reading-a-report.md").read_text()
     with tempfile.TemporaryDirectory() as folder, chdir(folder), browser(1000, 2080) as driver:
         Path("data").symlink_to(ROOT / "data")
         for name in ("verdict", "three"):

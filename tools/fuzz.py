@@ -48,8 +48,8 @@ with (
     else contextlib.nullcontext()
 ):
     from lidarcfg.capture import decode as decoder
-    from lidarcfg.capture import sources
-    from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
+    from lidarcfg.capture import source_finder
+    from lidarcfg.capture.ethernet import ETHERNET_HEADER, IP, RECORD, UDP
     from lidarcfg.capture.pcap import PCAP_MAGIC, read_batches
     from lidarcfg.capture.selection import Selection
     from lidarcfg.packets.velodyne.encode import encode
@@ -79,7 +79,7 @@ WARM = 1000  # captures, after which all is loaded and compiled and has been use
 FRAME = np.dtype([("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP), ("packet", PACKET)])
 
 load_sensor = functools.cache(load_sensor)
-sources.load_sensor = load_sensor  # its YAML is another matter
+source_finder.load_sensor = load_sensor  # its YAML is another matter
 
 
 class Here(ThreadPoolExecutor):

@@ -21,7 +21,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -70,7 +70,8 @@ class Seen:
 def _bytes(value: Any) -> int:
     if isinstance(value, np.ndarray):
         return value.nbytes
-    value = vars(value) if isinstance(value, SimpleNamespace) else value
+    if fields := _fields(value):
+        value = fields
     if isinstance(value, dict):
         value = tuple(value.values())
     return sum(map(_bytes, value)) if isinstance(value, tuple | list) else 0
@@ -81,15 +82,20 @@ def _is_large(value: np.ndarray) -> bool:
     return value.nbytes > MOST_BYTES
 
 
+def _fields(value: Any) -> dict[str, Any]:
+    """A struct's, by name; none of anything else."""
+    if "__reduce__" not in vars(type(value)):
+        return {}
+    return {name: getattr(value, name) for name, one in vars(type(value)).items() if isinstance(one, property)}
+
+
 def _copied(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value if _is_large(value) else value.copy()
     if isinstance(value, dict):
         return {key: _copied(one) for key, one in value.items()}
-    if isinstance(value, SimpleNamespace):
-        return SimpleNamespace(**_copied(vars(value)))
-    if hasattr(value, "_replace"):
-        return type(value)(*map(_copied, value))
+    if fields := _fields(value):
+        return type(value)(**_copied(fields))
     return type(value)(map(_copied, value)) if isinstance(value, tuple | list) else value
 
 
@@ -100,11 +106,8 @@ def changed(value: Any, rng: np.random.Generator) -> Any:
     if isinstance(value, dict) and value:
         key = rng.choice(list(value))
         return value | {key: changed(value[key], rng)}
-    if isinstance(value, SimpleNamespace):
-        return SimpleNamespace(**changed(vars(value), rng))
-    if hasattr(value, "_replace") and value:
-        name = rng.choice(value._fields)
-        return value._replace(**{name: changed(getattr(value, name), rng)})
+    if fields := _fields(value):
+        return type(value)(**changed(fields, rng))
     if isinstance(value, tuple | list) and value:
         items = list(value)
         n = rng.integers(len(items))
@@ -188,10 +191,14 @@ def call_for(seconds: float, seen: Seen, rng: np.random.Generator, latest: mmap.
         function, given, named = seen.calls[name][rng.integers(len(seen.calls[name]))]
         given = copy.copy(_copied(given))
         named = _copied(named)
-        if given and (not named or rng.random() < 0.8):
-            given = changed(given, rng)
-        elif named:
-            named = changed(named, rng)
+        try:
+            if given and (not named or rng.random() < 0.8):
+                given = changed(given, rng)
+            elif named:
+                named = changed(named, rng)
+        except (ValueError, TypeError, OverflowError) as error:  # a struct that is not made
+            outcomes[type(error).__name__] += 1
+            continue
         latest.seek(0)
         latest.write(f"{name}{given}, {named}".encode()[:MOST_LETTERS].ljust(MOST_LETTERS, b"\0"))
         start = time.monotonic()

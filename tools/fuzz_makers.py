@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.capture.frames import ETHERNET_HEADER, RECORD, frames
+from lidarcfg.capture.ethernet import ETHERNET_HEADER, RECORD, ethernet_frames
 from lidarcfg.capture.pcap import FILE_HEADER, read_batches
 from lidarcfg.config.models import Section
 from lidarcfg.packets.codec import Payloads
@@ -110,11 +110,11 @@ def seed(number: int) -> Seed | None:
     of = mount(*MADE[number])
     maker = codec(of.sensor)
     rng = np.random.default_rng(number)
-    (batch,) = maker.schedule(of, START_NS, PACKETS, PACKETS)
+    (batch,) = maker.schedule(of, START_NS, [range(PACKETS)])
     shape = len(batch.firings.time_ns), 1 + of.dual
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 45, shape), np.inf)
     returns = maker.encode(of, batch, range_m, rng.integers(0, 256, shape, np.uint8))
-    besides = maker.housekeeping(of, Trajectory.static(np.eye(4)), GeoOrigin(), START_NS, SECOND_NS // 10)
+    besides = maker.housekeeping(of, Trajectory.static(np.eye(4)), GeoOrigin(), START_NS, range(SECOND_NS // 10))
     return Seed(of.model, (*besides, returns), of.host, dict(maker.sidecar_files(of)))
 
 
@@ -238,7 +238,7 @@ def capture(case, number: int) -> Odd | None:
     groups = [changed(case, one) for one in groups]
     if case.seldom(4):
         groups = [replace(one, fragments=False) for one in groups]
-    made = [frames(sent.host, one) for one in groups]
+    made = [ethernet_frames(sent.host, one) for one in groups]
     pairs = [pair for one in made for pair in zip(one.time_ns.tolist(), one.records, strict=True)]
     records = reordered(case, [record for _, record in sorted(pairs, key=lambda pair: pair[0])])
     count = sum(len(one.data) for one in groups)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from lidarcfg.config.models import Model
-from lidarcfg.requirements.kinds import KINDS
+from lidarcfg.requirements.file import KINDS
 from lidarcfg.solvers import SOLVERS, solver_of
 from lidarcfg.solvers.solver import Solver
 from lidarcfg.study.terms import TERMS

@@ -16,7 +16,8 @@ from page import ROOT, write_section
 from rich.progress import Progress
 from scipy.stats import spearmanr
 
-from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
+from lidarcfg.report.drawings import draw_rig
+from lidarcfg.report.plots import COLOURS, draw_convergence, new_figure, save_figure
 from lidarcfg.search.optimize import optimize
 from lidarcfg.search.run import Placement
 from lidarcfg.study.study import Study, load_study, with_solver

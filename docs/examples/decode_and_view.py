@@ -9,7 +9,7 @@ import numpy as np
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate, load_cloud, save_clouds
 from lidarcfg.viewer.contents import Contents
@@ -23,7 +23,7 @@ out.mkdir(parents=True, exist_ok=True)
 # Two sensors in a street, for a tenth of a second. A recording of a real Velodyne does as well.
 rig, scene = lidarcfg.load_rig("data/rigs/roof.yaml"), lidarcfg.load_scene("data/scenes/street.yaml")
 capture = out / "turn.pcap"
-write_pcap(capture, in_time_order(simulated_frames(rig, scene, np.eye(4), duration_ns=100_000_000)))
+write_pcap(capture, in_time_order(simulated_packets(rig, scene, np.eye(4), duration_ns=100_000_000)))
 
 # %% Its points
 # With a rig the points of all sensors are in the vehicle's frame; without one each sensor's are in its own. They come

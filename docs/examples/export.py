@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import lidarcfg
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.ground_truth import TruthFile
 from lidarcfg.capture.pcap import read_datagrams, write_pcap
 from lidarcfg.geometry import pose
@@ -27,7 +27,7 @@ print(f"{len(rig.mounts)} sensors among {len(scene.names)} objects of {len(scene
 # takes no more memory than a second. The truth of each return is told as it is made.
 names = [mount.name for mount in rig.mounts]
 with TruthFile(out / "street.npz", names, scene.names) as truth:
-    streams = simulated_frames(rig, scene, T_world_vehicle, duration_ns=100_000_000, on_truth=truth.add)
+    streams = simulated_packets(rig, scene, T_world_vehicle, duration_ns=100_000_000, on_truth=truth.add)
     packets = write_pcap(out / "street.pcap", in_time_order(streams))
     returns = truth.save()
 print(f"{packets} packets, {returns:,} returns")

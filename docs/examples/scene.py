@@ -9,7 +9,7 @@ import numpy as np
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
@@ -33,7 +33,7 @@ print(dict(zip(scene.names, scene.reflectivity.tolist(), strict=True)))
 
 # %% What two sensors see of it
 rig = lidarcfg.load_rig("data/rigs/roof.yaml")
-write_pcap(out / "wall.pcap", in_time_order(simulated_frames(rig, scene, np.eye(4), duration_ns=100_000_000)))
+write_pcap(out / "wall.pcap", in_time_order(simulated_packets(rig, scene, np.eye(4), duration_ns=100_000_000)))
 cloud = concatenate(list(decode_pcap(out / "wall.pcap", print, rig)))
 for name, reflectivity in zip(scene.names, scene.reflectivity, strict=True):
     print(f"{(cloud.intensity == reflectivity).sum():6,} returns of the {name}")

@@ -10,7 +10,7 @@ import yaml
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.sensors.sensor import catalogue
@@ -44,7 +44,7 @@ rig = lidarcfg.load_rig(out / "steep.yaml")
 # In the open, on flat ground: each ring that points down is a circle of radius 1.9 m / tan(angle).
 (out / "field.yaml").write_text("name: field\nground: {reflectivity: 12}\n")
 field = lidarcfg.load_scene(out / "field.yaml")
-write_pcap(out / "steep.pcap", in_time_order(simulated_frames(rig, field, np.eye(4), duration_ns=100_000_000)))
+write_pcap(out / "steep.pcap", in_time_order(simulated_packets(rig, field, np.eye(4), duration_ns=100_000_000)))
 cloud = concatenate(list(decode_pcap(out / "steep.pcap", print, rig)))
 for ring, angle in enumerate(sorted(steep.beams.elevation_deg)):
     radius = np.hypot(*cloud.xyz[cloud.ring == ring, :2].T)

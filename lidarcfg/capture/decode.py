@@ -113,18 +113,18 @@ def _decode_chunk(chunk: list[Packets], driver: bool) -> PointCloud:
 
 def to_cloud(packets: Packets, returns: DecodedReturns, driver: bool = False) -> PointCloud:
     """The returns of packets as points of the vehicle's frame; without a rig, of the sensor's. Moves them in place."""
-    sender = packets.sender
+    sensor = packets.sensor
     xyz = returns.xyz_m
-    if sender.T_vehicle_sensor is not None:
+    if sensor.T_vehicle_sensor is not None:
         for first in range(0, len(xyz), ROWS):
             rows = xyz[first : first + ROWS]
-            rows[:] = transform(sender.T_vehicle_sensor, rows)
+            rows[:] = transform(sensor.T_vehicle_sensor, rows)
     return PointCloud(
         xyz=xyz,
         intensity=returns.intensity,
         ring=returns.ring,
         time_ns=returns.time_ns,
-        sensor=np.full(len(xyz), sender.index, np.uint16),
+        sensor=np.full(len(xyz), sensor.index, np.uint16),
         sensor_names=packets.sensor_names,
         return_type=returns.return_type,
         driver=packets.decoder.driver_columns(packets.data, packets.wanted) if driver else {},

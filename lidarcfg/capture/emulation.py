@@ -1,7 +1,7 @@
 """Emulates the sensors of a capture while it is replayed: answers what drivers ask before they read packets.
 
 The answers are the maker's: `packets/emulator.py` has the interface. This module finds the sensors of a capture that
-can answer; `services` has the sockets.
+can answer; `emulation_server` has the sockets.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,7 +12,7 @@ import numpy as np
 
 from lidarcfg.capture.replay import receiver_address, sender_address
 from lidarcfg.capture.selection import Selection, read_window, window_ns
-from lidarcfg.capture.sources import SourceFinder, endpoint_name
+from lidarcfg.capture.source_finder import Flow, SourceFinder
 from lidarcfg.capture.stream import ENOUGH
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Bytes
@@ -48,12 +48,12 @@ def find_emulated(
     receiver = receiver_address(target)
     found: dict[str, EmulatedSensor] = {}
     without: list[str] = []
-    for key, packets in _first_packets(path, sources, selection):
-        source = sources.source(key)
+    for flow, packets in _first_packets(path, sources, selection):
+        source = sources.source(flow)
         site = NetworkSite(sender_address(source.host, receiver), receiver, port)
-        emulator = codec(sources.sensor(key, packets)).emulator(source, packets, site)
+        emulator = codec(sources.sensor(flow, packets)).emulator(source, packets, site)
         if emulator is None:
-            without.append(f"{endpoint_name(key)} ({sources.family_of(key)})")
+            without.append(f"{flow.name} ({sources.family_of(flow)})")
         elif source.host in found:
             what = f"several sensors have the address {source.host}, and only one can answer there"
             raise ConfigError(f"{path}: {what}; give each its own in the rig")
@@ -68,21 +68,20 @@ def find_emulated(
     return list(found.values())
 
 
-def _first_packets(path: Path, sources: SourceFinder, selection: Selection) -> Iterator[tuple[int, Bytes]]:
-    """The sources in the beginning of a part of a capture, and their first packets (P, size)."""
+def _first_packets(path: Path, sources: SourceFinder, selection: Selection) -> Iterator[tuple[Flow, Bytes]]:
+    """The flows in the beginning of a part of a capture, and their first packets (P, size)."""
     begin_ns, end_ns = window_ns(path, selection)
-    first: dict[int, Bytes] = {}
+    first: dict[Flow, Bytes] = {}
     until_ns = 0
     for batch in read_window(path, lambda warning: None, (begin_ns, end_ns)):
         inside = batch[(batch.time_ns >= begin_ns) & (batch.time_ns < end_ns)]
         if not len(inside.time_ns):
             continue
         until_ns = until_ns or int(inside.time_ns[0]) + SEARCHED_NS
-        lidar, keys = sources.lidar(inside)
-        for key in dict.fromkeys(keys.tolist()):
-            mine = lidar[keys == key][:ENOUGH]
-            packets = np.ascontiguousarray(mine.payloads(int(mine.size[0])))
-            first[key] = np.concatenate([first[key], packets])[:ENOUGH] if key in first else packets
+        lidar, numbers = sources.lidar(inside)
+        for flow, mine in sources.by_flow(numbers):
+            packets = np.ascontiguousarray(lidar[mine][:ENOUGH].payloads(flow.size))
+            first[flow] = np.concatenate([first[flow], packets])[:ENOUGH] if flow in first else packets
         if inside.time_ns.min() >= until_ns:
             break
     yield from first.items()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.frames import Frames, frames
+from lidarcfg.capture.ethernet import EthernetFrames, ethernet_frames
 from lidarcfg.capture.ground_truth import RECORD, records
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
@@ -15,18 +15,19 @@ from lidarcfg.geometry import Array
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch
 from lidarcfg.sensors.rig import Mount, Rig
-from lidarcfg.simulate.drive import Drive
+from lidarcfg.simulate.drive import checked_timing
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.tasks import (
+from lidarcfg.simulate.scene_drive import SceneDrive
+from lidarcfg.simulate.sensor_runs import (
+    ChunkRunner,
+    SensorRun,
     SimulationOptions,
-    Task,
-    TaskRunner,
-    build_tasks,
-    checked_timing,
+    check_duration,
     fired_fraction,
     map_chunks,
+    sensor_runs,
 )
-from lidarcfg.units import START_NS
+from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
@@ -35,7 +36,7 @@ from lidarcfg.world.vehicle import Vehicle
 OnTruth = Callable[[NDArray[np.void]], None]
 
 
-def simulated_frames(
+def simulated_packets(
     rig: Rig,
     scene: Scene,
     at: Array | Trajectory,
@@ -44,7 +45,7 @@ def simulated_frames(
     on_truth: OnTruth | None = None,
     vehicle: Vehicle | None = None,
     options: SimulationOptions | None = None,
-) -> list[Iterator[Frames]]:
+) -> list[Iterator[EthernetFrames]]:
     """The frames that each sensor of the rig sends, in time order. `in_time_order` merges the streams.
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
@@ -56,12 +57,12 @@ def simulated_frames(
     options = options or SimulationOptions()
     trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
     _check_all(rig.mounts, duration_ns)
-    tasks = build_tasks(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
-    runner = TaskRunner.of(options, len(tasks))
+    runs = sensor_runs(SceneDrive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
+    runner = ChunkRunner.of(options, len(runs))
     origin = scene.file.geo_origin
     return [
-        in_time_order([_data_stream(task, runner, on_truth), _housekeeping_stream(task, trajectory, origin)])
-        for task in tasks
+        in_time_order([_data_stream(run, runner, on_truth), _housekeeping_stream(run, trajectory, origin)])
+        for run in runs
     ]
 
 
@@ -77,18 +78,18 @@ def save_sidecar_files(path: Path, mounts: Sequence[Mount]) -> list[Path]:
     return written
 
 
-def data_bytes(drive: Drive) -> int:
+def data_bytes(drive: SceneDrive) -> int:
     """About how many bytes of a capture the sensors' data packets take, as Ethernet frames. Raises ConfigError."""
     _check_all(drive.rig.mounts, drive.duration_ns)
     total = 0.0
     for mount in drive.rig.mounts:
         maker = codec(mount.sensor)
         everywhere = replace(mount, azimuth_fov_deg=None)
-        batch = next(iter(maker.schedule(everywhere, drive.start_ns, 1, 1)))
+        batch = next(iter(maker.schedule(everywhere, drive.start_ns, [range(1)])))
         shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
         packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
-        total += packets * sum(map(len, frames(mount.host, packet).records))
+        total += packets * sum(map(len, ethernet_frames(mount.host, packet).records))
     return round(total)
 
 
@@ -116,13 +117,13 @@ def check_exportable(mount: Mount, duration_ns: int) -> None:
     for key in ("range",) if sensor.scan_pattern else ("rotation", "range"):
         if getattr(sensor, key) is None:
             raise ConfigError(f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts")
-    checked_timing(mount, duration_ns)
+    check_duration(mount, checked_timing(mount), duration_ns)
 
 
-def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
+def in_time_order(streams: Iterable[Iterator[EthernetFrames]]) -> Iterator[EthernetFrames]:
     """Merge streams that are each in time order; at equal times, in the order of the streams."""
     sources = list(streams)
-    heads: dict[int, Frames] = {}
+    heads: dict[int, EthernetFrames] = {}
     while True:
         for i, source in enumerate(sources):
             if i not in heads and (some := next(source, None)):
@@ -137,26 +138,26 @@ def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
             times_ns.append(head.time_ns[:count])
             records += head.records[:count]
             if count < len(head.records):
-                heads[i] = Frames(head.time_ns[count:], head.records[count:])
+                heads[i] = EthernetFrames(head.time_ns[count:], head.records[count:])
             else:
                 del heads[i]
         together_ns = np.concatenate(times_ns)
         order = np.argsort(together_ns, kind="stable")
-        yield Frames(together_ns[order], [records[k] for k in order.tolist()])
+        yield EthernetFrames(together_ns[order], [records[k] for k in order.tolist()])
 
 
 @dataclass(frozen=True)
 class _TracedFrames:
     """A traced chunk."""
 
-    frames: Frames
+    frames: EthernetFrames
     truth: NDArray[np.void]  # empty if not wanted
 
 
-def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> Iterator[Frames]:
+def _data_stream(run: SensorRun, runner: ChunkRunner, on_truth: OnTruth | None) -> Iterator[EthernetFrames]:
     """The data packets completed within the duration, each sent when complete."""
-    maker = codec(task.mount.sensor)
-    mount = task.mount
+    maker = codec(run.mount.sensor)
+    mount = run.mount
 
     def make(batch: FiringBatch, found: Echoes) -> _TracedFrames:
         range_m = found.range_m + found.noise_m
@@ -166,18 +167,19 @@ def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> It
             types = maker.return_types(mount, range_m, found.reflectivity)
             sent = maker.sent(mount, batch, payloads)
             fired_ns = maker.fired_ns(mount, batch, range_m)
-            truth = records(task.index, types, batch.firings, fired_ns, found, sent)
-        return _TracedFrames(frames(mount.host, payloads), truth)
+            truth = records(run.index, types, batch.firings, fired_ns, found, sent)
+        return _TracedFrames(ethernet_frames(mount.host, payloads), truth)
 
-    for chunk in map_chunks(task, runner, make):
+    for chunk in map_chunks(run, runner, make):
         if on_truth:
             on_truth(chunk.truth)
         yield chunk.frames
 
 
-def _housekeeping_stream(task: Task, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[Frames]:
-    """The sensor's other packets."""
-    mount = task.mount
-    payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, task.start_ns, task.duration_ns)
-    for some in payloads:
-        yield frames(mount.host, some)
+def _housekeeping_stream(run: SensorRun, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[EthernetFrames]:
+    """The sensor's other packets, a second at a time."""
+    maker = codec(run.mount.sensor)
+    for begin_ns in range(0, run.duration_ns, SECOND_NS):
+        due_ns = range(begin_ns, min(begin_ns + SECOND_NS, run.duration_ns))
+        kinds = maker.housekeeping(run.mount, trajectory, origin, run.start_ns, due_ns)
+        yield from in_time_order([iter([ethernet_frames(run.mount.host, some)]) for some in kinds if len(some.time_ns)])

@@ -22,7 +22,7 @@ from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Trajectory, load_path
 
 if TYPE_CHECKING:
-    from lidarcfg.simulate.drive import Drive
+    from lidarcfg.simulate.scene_drive import SceneDrive
 
 ORIGIN = "0,0,0"  # as a pose
 SUFFIX = ".yaml"  # appended to the capture's name, so that it differs from a rig of that name
@@ -56,14 +56,14 @@ class DriveInputs:
         """The vehicle's motion; without a file it stands. Raises ConfigError."""
         return Trajectory(self.T_world_start, load_path(self.trajectory), self.start_ns)
 
-    def load(self) -> "Drive":
+    def load(self) -> "SceneDrive":
         """The drive of a rig in a scene for a while, which must all be known. Raises LidarcfgError."""
-        from lidarcfg.simulate.drive import Drive  # with all that tracing needs
+        from lidarcfg.simulate.scene_drive import SceneDrive  # with all that tracing needs
 
         assert self.rig
         assert self.scene
         assert self.duration_s
-        return Drive.load(
+        return SceneDrive.load(
             self.rig,
             self.scene,
             self.duration_s,

@@ -29,6 +29,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import NO_VEHICLE, Rig, load_rig, rig_text
 from lidarcfg.sensors.sensor import catalogue
 from lidarcfg.simulate.drive import Drive
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, files_of
@@ -57,31 +58,45 @@ class ManifestInputs:
     """The inputs of a drive, as a manifest names them; None where it cannot."""
 
     files: dict[str, Path | SidecarInput | None]
+    named: dict[str, list[Path]]  # other files that these name
     values: dict[str, Any]  # the other keys of `CaptureManifest`
 
     @classmethod
-    def of(cls, drive: Drive, output: Path, given: DriveInputs) -> "ManifestInputs":
-        """The inputs of a drive, some of which were given so."""
+    def of(cls, drive: SceneDrive, output: Path, given: DriveInputs) -> "ManifestInputs":
+        """The inputs of a drive in a scene, some of which were given so."""
+        made = cls.of_rig(drive, drive.duration_ns, output, given)
+        scene = given.scene or _scene(drive.scene)
+        made.files["scene"] = scene
+        if isinstance(scene, Path):
+            made.named["scene"] = files_of(drive.scene.file, example(scene).parent)
+        if drive.vehicle:
+            made.files["vehicle"] = given.vehicle
+            owner = "vehicle" if given.vehicle else "rig"
+            made.named[owner] = [*made.named.get(owner, []), *files_of(drive.vehicle.file, Path())]
+        elif given.vehicle:
+            made.values["vehicle"] = NO_VEHICLE
+        return made
+
+    @classmethod
+    def of_rig(cls, drive: Drive | SceneDrive, duration_ns: int, output: Path, given: DriveInputs) -> "ManifestInputs":
+        """The inputs of a drive of a rig, wherever."""
         at = drive.trajectory.T_world_start
         moved = None
         if not given.trajectory:
             at, moved = _motion(drive.trajectory, drive.start_ns)
         files: dict[str, Path | SidecarInput | None] = {
             "rig": given.rig or _rig(drive.rig, output.parent),
-            "scene": given.scene or _scene(drive.scene),
             "trajectory": given.trajectory or moved,
-            "vehicle": given.vehicle if drive.vehicle else None,
         }
         start = datetime.fromtimestamp(drive.start_ns // SECOND_NS, UTC).replace(tzinfo=None).isoformat()
         values = {
             "at": given.at or format_pose(at),
             "start": given.start or start,
-            "duration_s": drive.duration_ns / SECOND_NS,
+            "duration_s": duration_ns / SECOND_NS,
             "return_mode": given.return_mode,
+            "models": _models(drive.rig),
         }
-        if given.vehicle and not drive.vehicle:
-            values["vehicle"] = NO_VEHICLE
-        return cls(files, values)
+        return cls(files, {"rig": _sensor_files(drive.rig)}, values)
 
     def outdated(self, output: Path) -> list[Path]:
         """Files that an earlier export left beside the output and that this one neither writes nor reads."""
@@ -93,15 +108,15 @@ class ManifestInputs:
         own = [manifest_path(output), *(output.with_name(output.name + suffix) for suffix in SIDECAR_SUFFIXES)]
         return [path for path in own if os.path.realpath(path) not in kept]
 
-    def save(self, output: Path, drive: Drive, on_warning: Callable[[str], None]) -> list[Path]:
+    def save(self, output: Path, on_warning: Callable[[str], None]) -> list[Path]:
         """Write the manifest and the files beside it, or warn of what is missing; return what was written."""
         manifest = manifest_path(output)
         if self._obstacle:
             on_warning(f"{manifest}: is not written, as {self._obstacle}; decode needs to be told")
             return []
-        if not self.files["scene"]:
+        if self.files.get("scene", output) is None:
             on_warning(f"{manifest}: names no scene, which is in no file; view and convert need it")
-        self._write(output, drive)
+        self._write(output)
         suffixes = [given.suffix for given in self.files.values() if isinstance(given, SidecarInput)]
         return [manifest, *(output.with_name(output.name + suffix) for suffix in suffixes)]
 
@@ -112,18 +127,11 @@ class ManifestInputs:
             return "sensors of the rig are in no file"
         return None if self.values["at"] else "the vehicle's pose is not rigid"
 
-    def _write(self, capture: Path, drive: Drive) -> None:
-        """Write the manifest beside a capture. It also names the files that the inputs name, as the drive has them."""
-        scene_file = self.files["scene"]
-        named = {"rig": _sensor_files(drive.rig)}
-        if isinstance(scene_file, Path):
-            named["scene"] = files_of(drive.scene.file, example(scene_file).parent)
-        if drive.vehicle:
-            owner = "vehicle" if self.files["vehicle"] else "rig"
-            named[owner] = [*named.get(owner, []), *files_of(drive.vehicle.file, Path())]
-        inputs = {key: _input(given, named.get(key, []), capture) for key, given in self.files.items() if given}
+    def _write(self, capture: Path) -> None:
+        """Write the manifest beside a capture. It also names the files that the inputs name."""
+        inputs = {key: _input(given, self.named.get(key, []), capture) for key, given in self.files.items() if given}
         others = {key: value for key, value in self.values.items() if value is not None}
-        manifest = CaptureManifest.model_validate({"models": _models(drive.rig), **inputs, **others})
+        manifest = CaptureManifest.model_validate({**inputs, **others})
         with replacing(manifest_path(capture)) as out:
             out.write(yaml_text(manifest.model_dump(mode="json", exclude_none=True), blocks=True))
 

@@ -12,8 +12,17 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.capture.ethernet import (
+    ETHERNET,
+    LINK_HEADERS,
+    RECORD,
+    Datagrams,
+    EthernetFrames,
+    FrameBatch,
+    datagrams,
+    gather,
+)
 from lidarcfg.capture.fragments import Reassembly
-from lidarcfg.capture.frames import ETHERNET, LINK_HEADERS, RECORD, Datagrams, Frames, Piece, datagrams, gather
 from lidarcfg.errors import PacketError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Times
@@ -170,7 +179,7 @@ def is_capture(path: Path) -> bool:
     return first in PCAP_MAGIC or first == SECTION
 
 
-def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:
+def write_pcap(path: str | Path, frames: Iterable[EthernetFrames]) -> int:
     """Write a classic pcap, whole or not at all, and return how many frames it has."""
     count = 0
     with replacing(path, "wb") as file:
@@ -213,16 +222,16 @@ def read_batches(
                 raise PacketError(f"{path}: the file is empty")
             file.seek(0)
             if magic in PCAP_MAGIC:
-                pieces = _pcap_pieces(file, str(path), on_warning, from_ns, buffer)
+                batches = _pcap_batches(file, str(path), on_warning, from_ns, buffer)
             else:
-                pieces = _pcapng_pieces(file, str(path), on_warning)
+                batches = _pcapng_batches(file, str(path), on_warning)
             early = None
-            for piece in pieces:
-                if from_ns is None or (piece.time_ns >= from_ns).any():
-                    yield datagrams(piece, reassembly)
+            for batch in batches:
+                if from_ns is None or (batch.time_ns >= from_ns).any():
+                    yield datagrams(batch, reassembly)
                     from_ns = early = None
                 else:
-                    early = piece
+                    early = batch
             if early:
                 yield datagrams(early, reassembly)
     except OSError as error:
@@ -233,9 +242,9 @@ def read_batches(
         on_warning(f"{path}: {reassembly.incomplete} datagrams skipped: fragments of theirs are missing or damaged")
 
 
-def _pcap_pieces(
+def _pcap_batches(
     file: "BufferedReader[FileIO]", name: str, on_warning: Callable[[str], None], from_ns: int | None, buffer: int
-) -> Iterator[Piece]:
+) -> Iterator[FrameBatch]:
     """The frames of a classic pcap."""
     header = file.read(HEADER)
     if len(header) < HEADER:
@@ -259,7 +268,9 @@ def _pcap_pieces(
         heads = gather(data, start, record)
         if _is_hole(heads):
             break
-        yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), data)
+        yield FrameBatch(
+            link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), data
+        )
         _check_size(size, name)
         count = count + len(start)
         left = data[at:]
@@ -332,7 +343,7 @@ def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:
     return heads["seconds"].astype(np.int64) * SECOND_NS + heads["microseconds"].astype(np.int64) * unit_ns
 
 
-def _pcapng_pieces(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[Piece]:
+def _pcapng_batches(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[FrameBatch]:
     """The frames of a pcapng, consecutive ones of one link type at a time.
 
     Frames of unknown link types are skipped. Raises PacketError if all are unknown.
@@ -343,15 +354,15 @@ def _pcapng_pieces(file: IO[bytes], name: str, on_warning: Callable[[str], None]
         for link, alike in itertools.groupby(some, lambda frame: frame.link):
             links.add(link)
             if link in LINK_HEADERS:
-                yield _piece(link, list(alike))
+                yield _frame_batch(link, list(alike))
     if links and not links & LINK_HEADERS.keys():
         _checked_link(min(links), name)
 
 
-def _piece(link: int, frames: list[LinkFrame]) -> Piece:
+def _frame_batch(link: int, frames: list[LinkFrame]) -> FrameBatch:
     time_ns, size = np.array([(one.time_ns, len(one.content)) for one in frames], np.int64).T
     data = np.frombuffer(b"".join(one.content for one in frames), np.uint8)
-    return Piece(link, time_ns, np.cumsum(size) - size, size, data)
+    return FrameBatch(link, time_ns, np.cumsum(size) - size, size, data)
 
 
 def _check_size(size: int, name: str) -> None:

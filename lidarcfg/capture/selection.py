@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from lidarcfg.capture.frames import Datagrams
+from lidarcfg.capture.ethernet import Datagrams
 from lidarcfg.capture.pcap import read_batches
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.units import SECOND_NS

@@ -17,7 +17,7 @@ LATE_NS = 10 * SECOND_NS  # a packet older by more than that than one before it 
 
 
 @dataclass(frozen=True)
-class Sender:
+class CapturedSensor:
     """A sensor whose packets are in a capture."""
 
     where: str  # file and endpoint, for errors
@@ -31,7 +31,7 @@ class Sender:
 class Packets:
     """P successive packets of one sensor in the order of its clock, those just before and after the wanted ones too."""
 
-    sender: Sender
+    sensor: CapturedSensor
     sensor_names: tuple[str, ...]  # of all sensors of the capture so far
     decoder: Decoder
     data: Bytes  # (P, size)
@@ -44,7 +44,7 @@ class Packets:
         try:
             return self.decoder.decode(self.data, self.host_ns, self.wanted)
         except PacketError as error:
-            raise PacketError(f"{self.sender.where}: {error}") from None
+            raise PacketError(f"{self.sensor.where}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,11 @@ class SourceStats:
 class Stream:
     """The packets of one sensor as they come. The latest are held until their successors are known."""
 
-    def __init__(self, sender: Sender, window_ns: tuple[int, int], open_decoder: Callable[[Bytes], Decoder]) -> None:
+    def __init__(
+        self, sensor: CapturedSensor, window_ns: tuple[int, int], open_decoder: Callable[[Bytes], Decoder]
+    ) -> None:
         """Packets are wanted that have host times within the window; `open_decoder` gets the first packets."""
-        self._sender = sender
+        self._sensor = sensor
         self._window_ns = window_ns
         self._open_decoder = open_decoder
         self._decoder: Decoder | None = None  # not known until enough packets have come
@@ -104,7 +106,7 @@ class Stream:
         self._packets = [packets[keep:].copy()]
         self._times_ns = [times_ns[keep:].copy()]
         self._taken = min(stop, 1)
-        return Packets(self._sender, sensor_names, decoder, packets, times_ns, device_ns, wanted)
+        return Packets(self._sensor, sensor_names, decoder, packets, times_ns, device_ns, wanted)
 
     def _count_lost(self, decoder: Decoder, packets: Bytes, device_ns: Times, wanted: Flags, stop: int) -> None:
         """Count the wanted among the first `stop` packets, and the lost ones. A late one was already counted as lost.
@@ -164,13 +166,13 @@ class Stream:
     @property
     def name(self) -> str:
         """The sensor's."""
-        return self._sender.name
+        return self._sensor.name
 
     @property
     def damaged(self) -> str:
         """A warning of packets that were skipped, or nothing."""
         count = self._count["damaged"]
-        return f"{self._sender.where}: {count} damaged packets are skipped" if count else ""
+        return f"{self._sensor.where}: {count} damaged packets are skipped" if count else ""
 
     @property
     def packets(self) -> int:

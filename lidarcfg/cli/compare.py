@@ -42,9 +42,9 @@ def compare(
         print_comparison,
         save_comparison,
     )
-    from lidarcfg.report.document import Commands
     from lidarcfg.report.inputs import report_inputs
     from lidarcfg.report.results import check_writable, to_json
+    from lidarcfg.report.rig_report import Commands
     from lidarcfg.sensors.rig import load_rig
     from lidarcfg.study.evaluation import evaluate as evaluation
     from lidarcfg.study.study import load_study

@@ -10,7 +10,7 @@ from lidarcfg.cli.completion import complete_model
 from lidarcfg.cli.options import FILE, quiet_option, warn
 
 if TYPE_CHECKING:
-    from lidarcfg.simulate.drive import Drive
+    from lidarcfg.simulate.scene_drive import SceneDrive
 
 
 @cloup.command(
@@ -156,7 +156,7 @@ def _single(models: tuple[str, ...]) -> str | None:
     return models[0] if models else None
 
 
-def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
+def _drive(capture: Path, name: str, truth: Path | None) -> "SceneDrive | None":
     """The drive that an export's manifest describes; None for a recording. Raises ConfigError where it is needed."""
     from lidarcfg.capture.manifest import load_manifest, manifest_path
     from lidarcfg.errors import ConfigError

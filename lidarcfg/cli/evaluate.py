@@ -12,7 +12,7 @@ from lidarcfg.cli.options import FILE, command_line, json_option, quiet_option, 
 from lidarcfg.cli.progress import progress
 
 if TYPE_CHECKING:
-    from lidarcfg.report.document import Baseline
+    from lidarcfg.report.rig_report import Baseline
     from lidarcfg.sensors.rig import Rig
     from lidarcfg.study.study import Study
 
@@ -51,8 +51,8 @@ def evaluate(
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
         from lidarcfg.report.comparison import print_comparison, with_baseline
-        from lidarcfg.report.document import Commands
         from lidarcfg.report.inputs import report_inputs
+        from lidarcfg.report.printing import print_evaluation
         from lidarcfg.report.results import (
             EVALUATED,
             baseline_dict,
@@ -61,7 +61,7 @@ def evaluate(
             save_evaluation,
             to_json,
         )
-        from lidarcfg.report.tables import print_evaluation
+        from lidarcfg.report.rig_report import Commands
         from lidarcfg.sensors.rig import load_rig
         from lidarcfg.study.evaluation import evaluate as evaluation
         from lidarcfg.study.evaluation import robustness
@@ -94,8 +94,8 @@ def evaluate(
 
 def baseline_of(study: "Study", path: Path | None, on_progress: OnProgress) -> "Baseline | None":
     """The rig to compare with, evaluated. Raises ConfigError if it cannot be evaluated in the study."""
-    from lidarcfg.report.document import Baseline
     from lidarcfg.report.inputs import report_inputs
+    from lidarcfg.report.rig_report import Baseline
     from lidarcfg.sensors.rig import load_rig
     from lidarcfg.study.evaluation import evaluate as evaluation
 

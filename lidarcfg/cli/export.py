@@ -4,7 +4,7 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import cloup
@@ -29,12 +29,12 @@ LESS = "a shorter time or fewer sensors need less"
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from lidarcfg.capture.manifest import DriveInputs
     from lidarcfg.sensors.rig import ReturnMode, Rig
-    from lidarcfg.simulate.drive import Drive
+    from lidarcfg.simulate.scene_drive import SceneDrive
+    from lidarcfg.simulate.sensor_runs import SimulationOptions
     from lidarcfg.simulate.simulator import RayCounts
-    from lidarcfg.simulate.tasks import SimulationOptions
 
-    OnPath = Callable[[Path], None]
     Size = Callable[[float], str]  # of the files, as far as it is known when a fraction of the work is done
 
 
@@ -84,23 +84,7 @@ if TYPE_CHECKING:
     cloup.option("--stats", is_flag=True, help="Print how many rays were traced and how many hit."),
     quiet_option,
 )
-def export(
-    rig: Path,
-    scene: Path,
-    duration: float,
-    output: Path,
-    name: str | None,
-    split: bool,
-    at: str,
-    start: str | None,
-    return_mode: "ReturnMode | None",
-    trajectory: Path | None,
-    vehicle: Path | None,
-    truth: Path | None,
-    deskew: bool,
-    stats: bool,
-    quiet: bool,
-) -> None:
+def export(**given: Any) -> None:
     """Simulate what a rig's sensors send or see in a scene.
 
     A pcap holds their packets; the other formats hold points with the ground truth. The vehicle stands, or moves
@@ -118,46 +102,78 @@ def export(
     folder      kitti-odometry, kitti-object,
                 nuscenes: each needs --to
     """
-    if not output.name:
-        raise click.BadParameter(f"{str(output)!r} names neither a file nor a folder to write", param_hint="-o")
-    with progress(quiet, keep=False) as on_fraction:
-        on_fraction(0.0, f"reading {rig} and {scene}")
-        from lidarcfg.capture.manifest import DriveInputs, manifest_path
-        from lidarcfg.capture.manifest_writer import ManifestInputs
+    options = ExportOptions(**given)
+    if not options.output.name:
+        what = f"{str(options.output)!r} names neither a file nor a folder to write"
+        raise click.BadParameter(what, param_hint="-o")
+    with progress(options.quiet, keep=False) as on_fraction:
+        on_fraction(0.0, f"reading {options.rig} and {options.scene}")
+        from lidarcfg.capture.manifest import manifest_path
         from lidarcfg.files import check_replaceable
         from lidarcfg.world.vehicle import check_outside
 
-        given = DriveInputs(rig, scene, trajectory, vehicle, at, start, duration, return_mode)
-        drive = given.load()
+        drive = options.inputs.load()
         if drive.vehicle:
-            check_outside(drive.vehicle, drive.rig.mounts, rig)
+            check_outside(drive.vehicle, drive.rig.mounts, options.rig)
     warn_of(drive.vehicle)
-    if return_mode:
+    if options.return_mode:
         _warn_of_thin_beams(drive.rig)
-    rays = Rays()
-    paths = [output]
-    if split and output.suffix == ".pcap":
-        paths = [output.with_name(f"{output.stem}-{mount.name}.pcap") for mount in drive.rig.mounts]
-    for path in paths:  # not after hours
-        if path.suffix == ".pcap" and name is None:
+    for path in options.paths(drive.rig):  # not after hours
+        if options.is_capture:
             check_replaceable(path)
         check_replaceable(manifest_path(path))
-
-    def save(path: Path) -> None:
-        ManifestInputs.of(drive, path, given).save(path, drive, warn)
-
-    if output.suffix == ".pcap" and name is None:
-        if deskew:
-            raise click.UsageError("--deskew is for points; packets stay as a sensor sends them")
-        lines = _export_packets(drive, paths, split, truth, save, rays, quiet)
-    else:
-        if split or truth:
-            raise click.UsageError("--split and --truth are for a .pcap; points have their objects")
-        lines = _export_points(drive, output, name, deskew, save, rays, quiet)
-    for line in [] if quiet else lines:
+    rays = Rays()
+    lines = _export_packets(options, drive, rays) if options.is_capture else _export_points(options, drive, rays)
+    for line in [] if options.quiet else lines:
         click.echo(line)
-    if stats:
+    if options.stats:
         click.echo(f"{rays.traced:,} rays traced, of which {rays.hits:,} ({rays.fraction:.1%}) hit something in range")
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """The arguments and options of the command."""
+
+    rig: Path
+    scene: Path
+    trajectory: Path | None
+    vehicle: Path | None
+    at: str
+    start: str | None
+    duration: float
+    return_mode: "ReturnMode | None"
+    output: Path
+    name: str | None
+    split: bool
+    truth: Path | None
+    deskew: bool
+    stats: bool
+    quiet: bool
+
+    @property
+    def inputs(self) -> "DriveInputs":
+        """What the drive is assembled from."""
+        from lidarcfg.capture.manifest import DriveInputs
+
+        motion = self.trajectory, self.vehicle, self.at, self.start
+        return DriveInputs(self.rig, self.scene, *motion, self.duration, self.return_mode)
+
+    @property
+    def is_capture(self) -> bool:
+        """Whether packets are written; else points."""
+        return self.output.suffix == ".pcap" and self.name is None
+
+    def paths(self, rig: "Rig") -> list[Path]:
+        """The files or the folder to write."""
+        if self.split and self.output.suffix == ".pcap":
+            return [self.output.with_name(f"{self.output.stem}-{mount.name}.pcap") for mount in rig.mounts]
+        return [self.output]
+
+    def save_manifest(self, path: Path, drive: "SceneDrive") -> None:
+        """Write the manifest beside what was written."""
+        from lidarcfg.capture.manifest_writer import ManifestInputs
+
+        ManifestInputs.of(drive, path, self.inputs).save(path, warn)
 
 
 @dataclass
@@ -179,9 +195,9 @@ class Rays:
 
 
 @contextmanager
-def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[SimulationOptions]":
+def _run(duration_ns: int, size: "Size", rays: Rays, quiet: bool) -> "Iterator[SimulationOptions]":
     """A run with a progress bar, which says how large the files will be, and counts the rays."""
-    from lidarcfg.simulate.tasks import SimulationOptions
+    from lidarcfg.simulate.sensor_runs import SimulationOptions
 
     began = time.perf_counter()
 
@@ -197,34 +213,33 @@ def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator
         yield SimulationOptions(on_progress, rays.add)
 
 
-def _export_packets(
-    drive: "Drive",
-    paths: list[Path],
-    split: bool,
-    truth: Path | None,
-    save_manifest: "OnPath",
-    rays: "Rays",
-    quiet: bool,
-) -> list[str]:
+def _export_packets(options: ExportOptions, drive: "SceneDrive", rays: Rays) -> list[str]:
     """Write one pcap, or with `split` one of each sensor, and the files that readers need. Returns what to print."""
     from contextlib import ExitStack
 
-    from lidarcfg.capture.export import data_bytes, in_time_order, save_sidecar_files, simulated_frames
+    from lidarcfg.capture.export import data_bytes, in_time_order, save_sidecar_files, simulated_packets
     from lidarcfg.capture.ground_truth import TruthFile
     from lidarcfg.capture.pcap import write_pcap
     from lidarcfg.inputs import check_room, format_bytes
-    from lidarcfg.simulate.drive import object_names
+    from lidarcfg.simulate.scene_drive import object_names
 
+    if options.deskew:
+        raise click.UsageError("--deskew is for points; packets stay as a sensor sends them")
+    truth = options.truth
+    paths = options.paths(drive.rig)
     if truth and truth.suffix != ".npz":
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
     mounts = drive.rig.mounts
     names = [mount.name for mount in mounts]
     size = data_bytes(drive)
     check_room(paths[0], size, LESS)
-    with _run(drive.duration_ns, lambda done: f"about {format_bytes(size)}", rays, quiet) as run, ExitStack() as stack:
+    with (
+        _run(drive.duration_ns, lambda done: f"about {format_bytes(size)}", rays, options.quiet) as run,
+        ExitStack() as stack,
+    ):
         objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
-        streams = simulated_frames(
+        streams = simulated_packets(
             drive.rig,
             drive.scene,
             drive.trajectory,
@@ -234,7 +249,7 @@ def _export_packets(
             drive.vehicle,
             run,
         )
-        if split:
+        if options.split:
             counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
             pairs = zip(paths, mounts, strict=True)
             sidecars = [one for path, mount in pairs for one in save_sidecar_files(path, [mount])]
@@ -243,16 +258,14 @@ def _export_packets(
             sidecars = save_sidecar_files(paths[0], mounts)
         records = beside.save() if beside else 0
         for path in paths:
-            save_manifest(path)
+            options.save_manifest(path, drive)
     duration = f"{drive.duration_ns / SECOND_NS:g} s"
     lines = [f"{path}: {count:,} packets, {duration}" for path, count in zip(paths, counts, strict=True)]
     lines += [f"{path}: readers of the capture need it, too" for path in sidecars]
     return lines + [f"{truth}: {records:,} returns"] * bool(truth)
 
 
-def _export_points(
-    drive: "Drive", output: Path, name: str | None, deskew: bool, save_manifest: "OnPath", rays: "Rays", quiet: bool
-) -> list[str]:
+def _export_points(options: ExportOptions, drive: "SceneDrive", rays: Rays) -> list[str]:
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.clouds.cloud import row_bytes
     from lidarcfg.errors import LidarcfgError
@@ -262,8 +275,11 @@ def _export_points(
     from lidarcfg.sensors.sensor import FIRING
     from lidarcfg.simulate.scans import most_returns, simulated_scans
 
-    form = formats.format_of("drive", output, name)
-    if deskew and form.name not in formats.CLOUDS:
+    if options.split or options.truth:
+        raise click.UsageError("--split and --truth are for a .pcap; points have their objects")
+    output = options.output
+    form = formats.format_of("drive", output, options.name)
+    if options.deskew and form.name not in formats.CLOUDS:
         raise click.UsageError(f"--deskew is for {', '.join(formats.CLOUDS)}")
     warnings = [
         f"{mount.name}: {mount.sensor.name} has no firing facts; all lasers fire together every {FIRING.step_deg:g} deg"
@@ -284,14 +300,14 @@ def _export_points(
             raise LidarcfgError(f"{output}: {sizes}; {format_bytes(free)} are free; {LESS}")
         return f"{'about' if known else 'at most'} {format_bytes(needed)}"
 
-    for text in [] if quiet else warnings:
+    for text in [] if options.quiet else warnings:
         warn(text)
     warnings.clear()
-    with _run(drive.duration_ns, size, rays, quiet) as run:
+    with _run(drive.duration_ns, size, rays, options.quiet) as run:
         dataset = DriveDataset(drive, simulated_scans(drive, run))
-        found = formats.save_dataset(output, form, dataset, deskew, warnings.append)
-        save_manifest(output)
-    for text in [] if quiet else warnings:
+        found = formats.save_dataset(output, form, dataset, options.deskew, warnings.append)
+        options.save_manifest(output, drive)
+    for text in [] if options.quiet else warnings:
         warn(text)
     return [f"{output}: {found}, {drive.duration_ns / SECOND_NS:g} s"]
 

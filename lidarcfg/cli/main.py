@@ -16,12 +16,14 @@ from lidarcfg.cli.convert import convert
 from lidarcfg.cli.decode import decode
 from lidarcfg.cli.evaluate import evaluate
 from lidarcfg.cli.export import export
-from lidarcfg.cli.files import init, schema, validate
+from lidarcfg.cli.init import init
 from lidarcfg.cli.optimize import optimize
 from lidarcfg.cli.progress import Interrupts
 from lidarcfg.cli.replay import replay
+from lidarcfg.cli.schema import schema
 from lidarcfg.cli.sensors import sensors
 from lidarcfg.cli.sweep import sweep
+from lidarcfg.cli.validate import validate
 from lidarcfg.cli.verify import verify
 from lidarcfg.cli.view import view
 from lidarcfg.errors import ConfigError, LidarcfgError, one_line, reason

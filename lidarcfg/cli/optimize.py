@@ -2,10 +2,11 @@
 
 import shlex
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import cloup
@@ -28,12 +29,90 @@ if TYPE_CHECKING:
     from lidarcfg.report.inputs import ReportInputs
     from lidarcfg.search.cheapest import CheapestRun
     from lidarcfg.search.front import FrontRun, Point
-    from lidarcfg.search.run import Cycle, Log, Placement
+    from lidarcfg.search.log import Log
+    from lidarcfg.search.run import Cycle, Placement
     from lidarcfg.sensors.rig import Rig
     from lidarcfg.solvers.solver import Solver
     from lidarcfg.study.study import Study
 
 QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command."""
+
+    study: Path
+    solver: str | None
+    seed: int | None
+    threads: int | None
+    scheduler: str | None
+    resume: Path | None
+    start: tuple[Path, ...]
+    cycles: int | None
+    evaluations: int | None
+    seconds: float | None
+    output: Path | None
+    baseline: Path | None
+    quiet: bool
+
+    def load(self) -> "Study":
+        """The study with these budgets, seed and solver. Raises ConfigError."""
+        from lidarcfg.study.study import load_study, with_solver
+
+        budget = {"cycles": self.cycles, "evaluations": self.evaluations, "seconds": self.seconds}
+        return with_solver(load_study(self.study), seed=self.seed, method=self.solver, **budget)
+
+    def check(self, study: "Study") -> None:
+        """Raises UsageError for options that do not go together, or not with a study."""
+        if self.start and self.resume:
+            raise click.UsageError("--start is for a search that begins, and --resume continues one")
+        if self.scheduler and not (study.to_choose and study.requirements):
+            raise click.UsageError(
+                "--scheduler is for studies with requirements and models to choose; see sweep for others"
+            )
+        if self.baseline and study.to_choose:
+            raise click.UsageError(
+                "--baseline is for one rig, and this study has a front of them; compare these with it"
+            )
+
+    def folder(self, study: "Study") -> Path:
+        """Where the results go."""
+        return self.output or self.resume or Path("out") / study.name
+
+    def rigs(self) -> "list[Rig]":
+        """The rigs that the search begins with, called as their files."""
+        from lidarcfg.sensors.rig import load_rig
+
+        return [replace(load_rig(path), name=str(path)) for path in self.start]
+
+    def again(self, study: "Study", *budget: object) -> str:
+        """The command that gives the same result on any machine, however the search ended."""
+        words = "lidarcfg", "optimize", self.study, "-o", self.folder(study)
+        solver = "--solver", study.solver.method, "--seed", study.solver.seed
+        starts = [word for path in self.start for word in ("--start", path)]
+        return shlex.join(map(str, (*words, *solver, *budget, *starts)))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a search ended."""
+
+    interrupted: str  # what is kept; empty: it was not interrupted
+    is_met: bool = True  # whether all requirements are met
+
+
+class Saver:
+    """Saves a search that goes on every few seconds."""
+
+    def __init__(self) -> None:
+        self._saved_s = time.monotonic()
+
+    def save(self, save: Callable[[], None]) -> None:
+        """Save it, if it is time."""
+        if time.monotonic() - self._saved_s > SAVE_EVERY_S:
+            save()
+            self._saved_s = time.monotonic()
 
 
 class Method(click.Choice):  # type: ignore[type-arg]  # the oldest click's is not generic
@@ -94,21 +173,7 @@ class Method(click.Choice):  # type: ignore[type-arg]  # the oldest click's is n
 @cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for the results.  [default: out/STUDY]")
 @baseline_option
 @quiet_option
-def optimize(
-    study: Path,
-    output: Path | None,
-    seed: int | None,
-    threads: int | None,
-    solver: str | None,
-    cycles: int | None,
-    evaluations: int | None,
-    seconds: float | None,
-    scheduler: str | None,
-    resume: Path | None,
-    start: tuple[Path, ...],
-    baseline: Path | None,
-    quiet: bool,
-) -> None:
+def optimize(**values: Any) -> None:
     """Find the poses that meet requirements, or miss least.
 
     If the study has requirements, the search first looks for a rig that meets them, and verifies the first one that
@@ -127,90 +192,82 @@ def optimize(
 
     --start names a rig of your own within the bounds: the search begins with it, and never ends with a worse one.
     """
-    with progress(quiet, keep=False) as on_progress:
-        on_progress(0.0, f"reading {study}")
-        from lidarcfg.report.comparison import print_comparison, with_baseline
-        from lidarcfg.report.document import Commands
-        from lidarcfg.report.results import RESULTS, check_writable, load_log, save_placement
-        from lidarcfg.report.tables import print_placement
-        from lidarcfg.search.achievable import unachievable
+    options = Options(**values)
+    with progress(options.quiet, keep=False) as on_progress:
+        on_progress(0.0, f"reading {options.study}")
+        from lidarcfg.search.requirements_search import unachievable
         from lidarcfg.study.checks import study_warnings
-        from lidarcfg.study.study import load_study, with_solver
 
-        budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
-        loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
-        messages = list(study_warnings(study, loaded))
-        messages += [f"{study}: {name}: not achievable: {why}" for name, why in unachievable(loaded).items()]
-    warn_of(loaded.vehicle)
+        study = options.load()
+        messages = list(study_warnings(options.study, study))
+        messages += [f"{options.study}: {name}: not achievable: {why}" for name, why in unachievable(study).items()]
+    warn_of(study.vehicle)
     for message in messages:
         warn(message)
-    folder = output or resume or Path("out") / loaded.name
-    if start and resume:
-        raise click.UsageError("--start is for a search that begins, and --resume continues one")
-    if scheduler and not (loaded.to_choose and loaded.requirements):
-        raise click.UsageError(
-            "--scheduler is for studies with requirements and models to choose; see sweep for others"
-        )
-    if loaded.to_choose:
-        if baseline:
-            raise click.UsageError(
-                "--baseline is for one rig, and this study has a front of them; compare these with it"
-            )
-        if loaded.requirements:
-            _find_cheapest(loaded, study, folder, resume, scheduler, threads, quiet, start)
-            return
-        _find_front(loaded, study, folder, resume, threads, quiet, start)
-        return
-    log = load_log(loaded, resume) if resume else None
-    check_writable(folder, RESULTS)
-    with progress(quiet, keep=False) as on_progress:
-        beside = baseline_of(loaded, baseline, on_progress)
-    with progress(quiet) as on_progress:
-        found, shown = _search(loaded, threads, log, folder, on_progress, _rigs(start))
-        on_progress(1.0, f"writing {folder}")
-        again = _repeat_command(study, folder, loaded.solver, found, start)
-        save_placement(loaded, found, shown, folder, Commands(command_line(), again), beside)
-    if not quiet:
-        print_placement(loaded, found, shown.evaluation)
-        if beside:
-            print_comparison(loaded, with_baseline(found.rig, folder / "rig.yaml", shown, beside))
-        files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
-        click.echo(f"written to {folder}/: {files}")
-    if found.interrupted:
-        click.echo("interrupted; the best rig found is kept", err=True)
+    options.check(study)
+    if not study.to_choose:
+        outcome = _find_rig(study, options)
+    elif study.requirements:
+        outcome = _find_cheapest(study, options)
+    else:
+        outcome = _find_front(study, options)
+    if outcome.interrupted:
+        click.echo(f"interrupted; {outcome.interrupted} is kept", err=True)
         sys.exit(130)
-    if found.verdict and not found.verdict.passed:
+    if not outcome.is_met:
         sys.exit(NOT_MET)
 
 
+def _find_rig(study: "Study", options: Options) -> Outcome:
+    """Search for the best rig, write the folder, print the result."""
+    from lidarcfg.report.comparison import print_comparison, with_baseline
+    from lidarcfg.report.printing import print_placement
+    from lidarcfg.report.results import RESULTS, check_writable, save_placement
+    from lidarcfg.report.rig_report import Commands
+    from lidarcfg.report.search_log import load_log
+
+    folder = options.folder(study)
+    log = load_log(study, options.resume).only if options.resume else None
+    check_writable(folder, RESULTS)
+    with progress(options.quiet, keep=False) as on_progress:
+        beside = baseline_of(study, options.baseline, on_progress)
+    with progress(options.quiet) as on_progress:
+        found, shown = _search(study, options, log, on_progress)
+        on_progress(1.0, f"writing {folder}")
+        budget: tuple[str, int] = ("--evaluations", max(found.evaluations, 1))
+        if study.solver.cycles is not None and found.history[-1].cycle >= study.solver.cycles:
+            budget = ("--cycles", study.solver.cycles)
+        save_placement(study, found, shown, folder, Commands(command_line(), options.again(study, *budget)), beside)
+    if not options.quiet:
+        print_placement(study, found, shown.evaluation)
+        if beside:
+            print_comparison(study, with_baseline(found.rig, folder / "rig.yaml", shown, beside))
+        files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
+        click.echo(f"written to {folder}/: {files}")
+    is_met = found.verdict is None or found.verdict.passed
+    return Outcome("the best rig found" if found.interrupted else "", is_met)
+
+
 def _search(
-    study: "Study",
-    threads: int | None,
-    log: "Log | None",
-    folder: Path,
-    on_progress: OnProgress,
-    starts: "Sequence[Rig]",
+    study: "Study", options: Options, log: "Log | None", on_progress: OnProgress
 ) -> "tuple[Placement, ReportInputs]":
     """The best rig, with progress; what is found so far is saved every few seconds."""
-    import time
-
     from lidarcfg.report.inputs import report_inputs
     from lidarcfg.report.results import save_progress
+    from lidarcfg.search.log import SearchLog
     from lidarcfg.search.optimize import optimize as search
     from lidarcfg.search.run import Budget
 
-    saved_s = time.monotonic()
-    shown_s = saved_s
+    saver = Saver()
+    shown_s = time.monotonic()
     fraction = 0.0
 
     def on_cycle(cycle: "Cycle", rig: "Rig", log: "Log") -> None:
-        nonlocal saved_s, shown_s, fraction
+        nonlocal shown_s, fraction
         fraction = min(budget.fraction(cycle.evaluations, cycle.cycle), 1.0)
         on_progress(fraction, _search_line(cycle))
         shown_s = time.monotonic()
-        if shown_s - saved_s > SAVE_EVERY_S:
-            save_progress(study, rig, log, folder)
-            saved_s = time.monotonic()
+        saver.save(lambda: save_progress(study, SearchLog.of(log), options.folder(study), rig))
 
     def on_evaluations(count: int) -> None:
         nonlocal shown_s
@@ -221,32 +278,16 @@ def _search(
     seconds = study.solver.seconds
     on_progress(0.0, "searching" if seconds is None else f"searching for {seconds:g} s; the report comes then")
     budget = Budget.of(study.solver)
-    found = search(study, threads, on_cycle, log, on_evaluations=on_evaluations, starts=starts)
-    if found.interrupted:
-        click.get_current_context().ensure_object(Interrupts).take()
+    found = search(study, options.threads, on_cycle, log, on_evaluations=on_evaluations, starts=options.rigs())
+    _take_interrupt(found.interrupted)
     on_progress(1.0, "evaluating the best rig")
     return found, report_inputs(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
 
 
-def _rigs(paths: Sequence[Path]) -> "list[Rig]":
-    """The rigs that a search begins with, called as their files."""
-    from lidarcfg.sensors.rig import load_rig
-
-    return [replace(load_rig(path), name=str(path)) for path in paths]
-
-
-def _started(paths: Sequence[Path]) -> list[str | Path]:
-    """The words of a command that name these rigs."""
-    return [word for path in paths for word in ("--start", path)]
-
-
-def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placement", start: Sequence[Path]) -> str:
-    """The command that gives the same rig on any machine, however the search ended."""
-    budget = ("--evaluations", max(found.evaluations, 1))
-    if solver.cycles is not None and found.history[-1].cycle >= solver.cycles:
-        budget = ("--cycles", solver.cycles)
-    words = ("lidarcfg", "optimize", study, "-o", folder, "--solver", solver.method, "--seed", solver.seed, *budget)
-    return shlex.join(map(str, (*words, *_started(start))))
+def _take_interrupt(was_interrupted: bool) -> None:
+    """A search that ended by Ctrl-C has dealt with it; the command goes on."""
+    if was_interrupted:
+        click.get_current_context().ensure_object(Interrupts).take()
 
 
 def _search_line(cycle: "Cycle") -> str:
@@ -257,154 +298,110 @@ def _search_line(cycle: "Cycle") -> str:
     return f"{state}  {cycle.evaluations / cycle.seconds:,.0f} evaluations/s"
 
 
-def _plan(run: "CheapestRun", solver: "Solver") -> str:
+def _cheapest_outlook(run: "CheapestRun", solver: "Solver") -> str:
     """What the search for the cheapest rig will do, and how long it may take."""
     screening = "the plain rigs of each first"
-    if run.sweep_s is not None:
-        screening += f", about {duration(run.sweep_s)}, and longer where one seems to pass and is verified"
+    if run.screening_s is not None:
+        screening += f", about {duration(run.screening_s)}, and longer where one seems to pass and is verified"
     budget = f"{solver.evaluations:,} evaluations" if solver.evaluations is not None else "its budget"
     if solver.seconds is not None:
         budget = f"{solver.seconds:g} s"
-    return f"{len(run.options):,} combinations: {screening}; the search ends after {budget}, and the report comes then"
+    count = len(run.combinations)
+    return f"{count:,} combinations: {screening}; the search ends after {budget}, and the report comes then"
 
 
-def _find_cheapest(
-    study: "Study",
-    path: Path,
-    folder: Path,
-    resume: Path | None,
-    scheduler: str | None,
-    threads: int | None,
-    quiet: bool,
-    start: Sequence[Path],
-) -> None:
-    """Search for the cheapest rig that meets all requirements, write the folder, print the verdict and the table.
-
-    Exits with 130 after Ctrl-C, and with 3 where a requirement is not met.
-    """
-    import time
-
-    from lidarcfg.report.cheapest import (
-        COMBINATIONS,
-        choice_part,
-        load_cheapest_log,
-        print_cheapest,
-        save_cheapest_log,
-        save_cheapest_progress,
-        save_combinations,
-    )
-    from lidarcfg.report.document import Commands
+def _find_cheapest(study: "Study", options: Options) -> Outcome:
+    """Search for the cheapest rig that meets all requirements, write the folder, print the verdict and the table."""
+    from lidarcfg.report.cheapest import choice_part, print_cheapest, save_combinations
     from lidarcfg.report.inputs import report_inputs
-    from lidarcfg.report.results import RESULTS, check_writable, save_placement
-    from lidarcfg.report.tables import print_placement
+    from lidarcfg.report.printing import print_placement
+    from lidarcfg.report.results import COMBINATIONS, RESULTS, check_writable, save_placement, save_progress
+    from lidarcfg.report.rig_report import Commands
+    from lidarcfg.report.search_log import load_log, save_log
     from lidarcfg.search.cheapest import cheapest
     from lidarcfg.search.workers import Cluster
 
-    log = load_cheapest_log(study, resume) if resume else None
+    folder = options.folder(study)
+    log = load_log(study, options.resume) if options.resume else None
     check_writable(folder, (*RESULTS, COMBINATIONS))
-    saved_s = time.monotonic()
-    said = False  # how long it will take
-    with progress(quiet) as on_progress:
+    saver = Saver()
+    said = options.quiet  # how long it will take
+    with progress(options.quiet) as on_progress:
 
-        def on_effort(run: "CheapestRun", what: str) -> None:
-            nonlocal saved_s, said
-            if not (said or quiet):
-                click.echo(_plan(run, study.solver), err=True)
+        def on_turn(run: "CheapestRun") -> None:
+            nonlocal said
+            if not said:
+                click.echo(_cheapest_outlook(run, study.solver), err=True)
                 said = True
-            best = "none meets all yet" if run.found is None else f"{run.options[run.found].name} meets all"
-            on_progress(run.spent or run.done, f"{what}; {best}")
-            if time.monotonic() - saved_s > SAVE_EVERY_S:
-                save_cheapest_progress(study, run.log(), folder)
-                saved_s = time.monotonic()
+            best = "none meets all yet" if run.found is None else f"{run.combinations[run.found].name} meets all"
+            on_progress(run.spent or run.done, f"{run.doing}; {best}")
+            saver.save(lambda: save_progress(study, run.log(), folder))
 
-        workers = Cluster(scheduler) if scheduler else None
+        workers = Cluster(options.scheduler) if options.scheduler else None
         try:
-            found = cheapest(study, threads, on_effort, workers, rigs=_rigs(start), log=log)
+            found = cheapest(study, options.threads, on_turn, workers, rigs=options.rigs(), log=log)
         finally:
             if workers:
                 workers.close()
-        if found.interrupted:
-            click.get_current_context().ensure_object(Interrupts).take()
+        _take_interrupt(found.interrupted)
         on_progress(1.0, f"writing {folder}")
         chosen = found.combination.study
         placed = found.placement
         shown = report_inputs(chosen, placed.rig, placed.evaluation, placed.midpoint_max_vsr_m)
-        words = ("--solver", study.solver.method, "--seed", study.solver.seed)
-        budget = ("--evaluations", max(found.evaluations, 1))
-        again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words, *budget, *_started(start))))
-        go_on = shlex.join(("lidarcfg", "optimize", str(path), "--resume", str(folder)))
-        save_placement(chosen, placed, shown, folder, Commands(command_line(), again), choice=choice_part(found, go_on))
+        commands = Commands(command_line(), options.again(study, "--evaluations", max(found.evaluations, 1)))
+        go_on = shlex.join(("lidarcfg", "optimize", str(options.study), "--resume", str(folder)))
+        save_placement(chosen, placed, shown, folder, commands, choice=choice_part(found, go_on))
         save_combinations(found, folder)
-        save_cheapest_log(study, found.log, folder)
-    if not quiet:
+        save_log(study, found.log, folder)
+    if not options.quiet:
         print_placement(chosen, placed, shown.evaluation)
         print_cheapest(found)
         if not found.meets:
             click.echo(f"to go on: {go_on}")
         click.echo(f"written to {folder}/: report.html rig.yaml result.json {COMBINATIONS}")
-    if found.interrupted:
-        click.echo("interrupted; the best rig so far is kept", err=True)
-        sys.exit(130)
-    if not found.meets:
-        sys.exit(NOT_MET)
+    return Outcome("the best rig so far" if found.interrupted else "", found.meets)
 
 
-def _find_front(
-    study: "Study",
-    path: Path,
-    folder: Path,
-    resume: Path | None,
-    threads: int | None,
-    quiet: bool,
-    start: Sequence[Path],
-) -> None:
-    """Search the study read from `path`, write the folder, print the table. Exits with 130 after Ctrl-C."""
-    import time
-
-    from lidarcfg.report.document import Commands
-    from lidarcfg.report.front import load_front_logs, print_front, save_front, save_front_log
+def _find_front(study: "Study", options: Options) -> Outcome:
+    """Search for the best rig of each price, write the folder, print the table."""
+    from lidarcfg.report.front import print_front, save_front, save_front_progress
     from lidarcfg.report.results import FRONT, check_writable
-    from lidarcfg.search.combinations import combinations
+    from lidarcfg.report.rig_report import Commands
+    from lidarcfg.report.search_log import load_log
     from lidarcfg.search.front import front
 
-    logs = load_front_logs(study, resume, len(combinations(study))) if resume else []
+    folder = options.folder(study)
+    log = load_log(study, options.resume) if options.resume else None
     check_writable(folder, FRONT)
-    saved = time.monotonic()
-    with progress(quiet) as on_progress:
+    saver = Saver()
+    with progress(options.quiet) as on_progress:
 
-        def on_part(search: "FrontRun") -> None:
-            nonlocal saved
-            on_progress(search.spent, _front_line(search))
-            if time.monotonic() - saved > SAVE_EVERY_S:
-                save_front_log(study, search.logs(), folder)
-                saved = time.monotonic()
+        def on_turn(run: "FrontRun") -> None:
+            on_progress(run.spent, _front_line(run))
+            saver.save(lambda: save_front_progress(study, run.log(), folder))
 
-        found = front(study, threads, on_part, logs, rigs=_rigs(start))
-    if found.interrupted:
-        click.get_current_context().ensure_object(Interrupts).take()
-    words = ("--solver", study.solver.method, "--seed", study.solver.seed, "--evaluations", max(found.evaluations, 1))
-    again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words, *_started(start))))
+        found = front(study, options.threads, on_turn, log, rigs=options.rigs())
+    _take_interrupt(found.interrupted)
     untried = sum(not one.evaluations for one in found.candidates)
     if untried:
         warn(f"the budget was spent before {untried} of {len(found.candidates)} combinations were tried")
-    with progress(quiet) as on_progress:
+    commands = Commands(command_line(), options.again(study, "--evaluations", max(found.evaluations, 1)))
+    with progress(options.quiet) as on_progress:
 
         def on_point(number: int, point: "Point") -> None:
             on_progress(number / len(found.points), f"report of {point.combination.name}")
 
-        save_front(study, found, folder, Commands(command_line(), again), on_point)
-    if not quiet:
+        save_front(study, found, folder, commands, on_point)
+    if not options.quiet:
         print_front(study, found)
         click.echo(f"written to {folder}/: front.html front.json front.png history.csv search.npz points/")
-    if found.interrupted:
-        click.echo("interrupted; the front so far is kept", err=True)
-        sys.exit(130)
+    return Outcome("the front so far" if found.interrupted else "")
 
 
-def _front_line(search: "FrontRun") -> str:
+def _front_line(run: "FrontRun") -> str:
     """One line on the state of the search."""
-    on_front = search.on_front()
-    rate = search.evaluations / max(search.seconds, 1e-9)
-    tried = sum(one.evaluations > 0 for one in search.searches)
+    on_front = run.on_front()
+    rate = run.evaluations / max(run.seconds, 1e-9)
+    tried = sum(one.evaluations > 0 for one in run.searches)
     state = f"{sum(on_front)} on the front, {tried} of {len(on_front)} combinations tried"
     return f"{state}  {rate:,.0f} evaluations/s"

@@ -24,7 +24,7 @@ SIGNALS = "SIGINT", "SIGTERM", "SIGHUP"  # not all of them exist on Windows
 SHOW_CURSOR = b"\r\x1b[2K\x1b[?25h"  # on an empty line: bars hide it
 
 
-class Screen:
+class ProgressBar:
     """One bar on stderr for all that a command does."""
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Interrupts:
     """
 
     def __init__(self) -> None:
-        self.screen = Screen()
+        self.progress_bar = ProgressBar()
         self.raised = False  # KeyboardInterrupt was, and the command has not gone on
         self.doing = ""  # by the latest progress
         self._came = False
@@ -140,7 +140,7 @@ def progress(
 def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
     from rich.markup import escape
 
-    screen = interrupts.screen
+    screen = interrupts.progress_bar
     task = None
     pace = WorkPace(mean_over_s)
 

@@ -32,7 +32,7 @@ def _emulated(
 ) -> "Mapping[str, Emulator]":
     """The capture's sensors that answer drivers from now on, until the stack closes, by their addresses in it."""
     from lidarcfg.capture.emulation import find_emulated
-    from lidarcfg.capture.services import Services
+    from lidarcfg.capture.emulation_server import EmulationServer
 
     def say(message: str) -> None:
         if not quiet:
@@ -40,7 +40,7 @@ def _emulated(
 
     sensors = find_emulated(pcap, host, port, selection, warn)
     services = ((one.site.address, service) for one in sensors for service in one.emulator.services)
-    stack.enter_context(Services(services, say))
+    stack.enter_context(EmulationServer(services, say))
     for one in sensors:
         say(str(one))
     return {one.host: one.emulator for one in sensors}

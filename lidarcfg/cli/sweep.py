@@ -16,8 +16,8 @@ from lidarcfg.errors import ConfigError
 
 if TYPE_CHECKING:
     from lidarcfg.report.sweep import SweepFolder
-    from lidarcfg.search.plan import Plan, SweepCase
-    from lidarcfg.search.sweep import RunResult
+    from lidarcfg.search.sweep import CaseResult
+    from lidarcfg.search.sweep_plan import SweepCase, SweepPlan
     from lidarcfg.search.workers import Workers
 
 
@@ -62,7 +62,7 @@ def sweep(
     it does only the missing runs. The result depends neither on the number of workers nor on where they run.
     """
     from lidarcfg.report.sweep import SweepFolder
-    from lidarcfg.search.plan import load_plan
+    from lidarcfg.search.sweep_plan import load_plan
 
     if scheduler and workers:
         raise click.UsageError("--workers are local; a cluster has as many as its scheduler knows")
@@ -98,7 +98,7 @@ def _processors() -> int:
 
 
 def _run_missing(
-    plan: "Plan", runs: list["SweepCase"], kept: "SweepFolder", options: WorkerOptions, quiet: bool
+    plan: "SweepPlan", runs: list["SweepCase"], kept: "SweepFolder", options: WorkerOptions, quiet: bool
 ) -> int:
     """Do the missing runs and save their results; returns how many found no rig."""
     from lidarcfg.search.sweep import sweep
@@ -111,7 +111,7 @@ def _run_missing(
             what = f"{finished} of {len(plan.runs)} runs" + (f", {failed} without a rig" if failed else "")
             on_progress(finished / len(plan.runs), what)
 
-        def done(run: "SweepCase", outcome: "RunResult") -> None:
+        def done(run: "SweepCase", outcome: "CaseResult") -> None:
             nonlocal failed, finished
             kept.save(run, outcome)
             failed += outcome.rig is None
@@ -127,7 +127,7 @@ def _run_missing(
     return failed
 
 
-def _estimate(plan: "Plan", runs: list["SweepCase"], options: WorkerOptions, quiet: bool) -> None:
+def _estimate(plan: "SweepPlan", runs: list["SweepCase"], options: WorkerOptions, quiet: bool) -> None:
     """Print an estimate of how long some runs of a plan take."""
     from lidarcfg.search.sweep import Pace, pace, size
 

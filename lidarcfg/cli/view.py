@@ -110,8 +110,7 @@ def camera_numbers(text: str) -> tuple[float, ...]:
         "--worst",
         type=click.IntRange(0, WORST_MAX),
         metavar="N",
-        default=3,
-        help="Show the N worst subspaces, at most 10.  [default: 3]",
+        help="Show the N worst subspaces, at most 10.  [default: 3, or none where the ground shows what is missed]",
     ),
     cloup.option(
         "--camera",
@@ -148,7 +147,7 @@ def view(
     at: str | None,
     start: str | None,
     colour: Any,
-    worst: int,
+    worst: int | None,
     camera: tuple[float, ...] | None,
     html: Path | None,
     png: Path | None,
@@ -170,7 +169,7 @@ def view(
     from lidarcfg.capture.selection import Selection
     from lidarcfg.viewer.camera import Camera
     from lidarcfg.viewer.contents import complete_inputs, load_contents
-    from lidarcfg.viewer.page import page_of, save_html
+    from lidarcfg.viewer.page import WORST_SHOWN, page_of, save_html
     from lidarcfg.viewer.still import save_still
     from lidarcfg.viewer.window import show_window
 
@@ -185,7 +184,7 @@ def view(
         )
     count = len(contents.cloud.xyz)
     if png:
-        save_still(contents, png, size, seen_from, colour, worst)
+        save_still(contents, png, size, seen_from, colour, WORST_SHOWN if worst is None else worst)
         if not quiet:
             click.echo(f"{png}: {count:,} points")
     if window:

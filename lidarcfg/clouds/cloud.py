@@ -92,7 +92,7 @@ class PointCloud:
         `on_warning` gets one line on that. Attributes of one value a point that no field holds are columns of `driver`.
         Sensors and objects without names are called by their numbers. Raises CloudError.
         """
-        from lidarcfg.clouds.tensors import SOURCE, read_tensors
+        from lidarcfg.clouds.open3d_tensors import SOURCE, read_tensors
 
         columns, driver = read_tensors(cloud, sensor_names, object_names, on_warning)
         return replace(checked(SOURCE, columns, allow_empty=True), driver=driver)
@@ -103,7 +103,7 @@ class PointCloud:
         `object` is there if it is known, and so are the columns of `driver`. Names of sensors and objects are not:
         give them to `from_open3d`.
         """
-        from lidarcfg.clouds.tensors import tensors
+        from lidarcfg.clouds.open3d_tensors import tensors
 
         columns = {key: getattr(self, key) for key in FIELDS if key != "xyz"}
         if self.object is not None:
@@ -281,7 +281,7 @@ def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty:
     path = Path(path)
     if _suffix(path) == ".npz":
         return checked(path, read_arrays(path, (*FIELDS, "sensor_names", "object", "object_names")), allow_empty)
-    from lidarcfg.clouds.rows import read_columns
+    from lidarcfg.clouds.ply_pcd import read_columns
 
     try:
         check_memory(str(path), FILE_COPIES * check_regular(path))

@@ -1,7 +1,7 @@
 """The hot loops, compiled from the C++ beside this file: arrays in, arrays out.
 
-A submodule for each package that has such loops, named as the package: `core.vsr` is called by `vsr`.
-Their signatures are in the `.pyi` files here; README.md says how to build, debug and profile.
+A submodule for each package that has such loops, named as the package, and `maths` for lidarcfg/maths.py.
+`tools/make_stubs.py` makes the `.pyi` files here from what is compiled; README.md says how to build, debug and profile.
 
 Built from source the core is compiled for the machine's own processor; wheels have it twice, for processors with AVX2
 and for those without: bit for bit the same results. LIDARCFG_CORE=v2 asks for the latter.
@@ -25,11 +25,9 @@ def _load() -> ModuleType:
 
 compiled = _load()
 maths = compiled.maths
-ouster = compiled.ouster
 packets = compiled.packets
-vsr = compiled.vsr
 returns = compiled.returns
 simulate = compiled.simulate
-view = compiled.view
-visibility = compiled.visibility
+viewer = compiled.viewer
+vsr = compiled.vsr
 world = compiled.world

@@ -12,14 +12,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from lidarcfg.capture.scans import scans
+from lidarcfg.capture.revolutions import revolutions
 from lidarcfg.clouds.cloud import PointCloud
 from lidarcfg.errors import ConversionError, PacketError, missing
 from lidarcfg.files import check_replaceable, commit, replacing_folder, resolve, temporary_folder
 from lidarcfg.geometry import inverse
 from lidarcfg.io.drive_dataset import DriveDataset, stamp_ns
-from lidarcfg.io.kits.frames import BASE_LINK, MAP, ros_name, ros_names
-from lidarcfg.io.messages import Messages, ros_store
+from lidarcfg.io.ros_messages import Messages, ros_store
+from lidarcfg.io.ros_names import BASE_LINK, MAP, ros_name, ros_names
 from lidarcfg.packets.families import family
 from lidarcfg.packets.point_fields import OBJECT, PLAIN, PointField
 from lidarcfg.sensors.rig import Rig
@@ -127,7 +127,7 @@ def _capture_messages(source: Path, rig: Rig | None, model: str | None, on_warni
         names = ros_names(rig, on_warning) if rig else {}
         seen: set[str] = set()
         families: dict[str, str] = {}
-        for scan in scans(source, on_warning, rig, model, on_source=families.__setitem__, driver=True):
+        for scan in revolutions(source, on_warning, rig, model, on_source=families.__setitem__, driver=True):
             _check_time(int(scan.time_ns.max()), source)
             if rig and not seen:
                 yield TF_STATIC, _sensor_transforms(messages, rig, names, stamp_ns(scan)), stamp_ns(scan)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lidarcfg.errors import ConversionError, missing
-from lidarcfg.io.messages import ros_store
+from lidarcfg.io.ros_messages import ros_store
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 METADATA = "metadata.yaml"  # of a folder that is a bag of ROS 2

@@ -43,7 +43,7 @@ def beam_table(sensor: Sensor) -> BeamTable:
     mount = _mount(sensor)
     when = timing(sensor)
     packets = math.ceil(mount.frame_ns / when.pace(mount).period_ns) + 2  # of firings that precede their packet's stamp
-    fired = joined([batch.firings for batch in when.schedule(mount, 0, packets, packets)])
+    fired = joined([batch.firings for batch in when.schedule(mount, 0, [range(packets)])])
     first_ns = int(fired.time_ns.min())
     frame = _rays(sensor, fired[fired.time_ns < first_ns + mount.frame_ns])
     pattern = when.pattern(mount)

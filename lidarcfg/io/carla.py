@@ -15,8 +15,8 @@ import numpy as np
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import read_regular
-from lidarcfg.io.kits.frames import Pose
-from lidarcfg.io.kits.kit import Kit, LidarFrame
+from lidarcfg.io.rig_importers.frame_tree import Pose
+from lidarcfg.io.rig_importers.sensor_kit import LidarFrame, SensorKit
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import catalogue
@@ -82,7 +82,7 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
     return attributes
 
 
-def read_carla(path: Path) -> Kit:
+def read_carla(path: Path) -> SensorKit:
     """The kit of a JSON for CARLA. Raises ConversionError, OSError."""
     try:
         values = json.loads(read_regular(path, FILE_MAX))
@@ -94,7 +94,7 @@ def read_carla(path: Path) -> Kit:
     frames = [_frame(f"{path}: sensors[{i}]", one) for i, one in enumerate(listed) if one["type"] in BLUEPRINTS]
     others = [str(one.get("id", one["type"])) for one in listed if one["type"] not in BLUEPRINTS]
     name = values.get("name")
-    return Kit(str(path), name if isinstance(name, str) and name else path.stem, tuple(frames), tuple(others))
+    return SensorKit(str(path), name if isinstance(name, str) and name else path.stem, tuple(frames), tuple(others))
 
 
 def _frame(where: str, sensor: Mapping[str, Any]) -> LidarFrame:

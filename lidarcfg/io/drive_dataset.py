@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.ground_truth import GroundTruth
-from lidarcfg.capture.scans import scans
+from lidarcfg.capture.revolutions import revolutions
 from lidarcfg.clouds.cloud import BOX, BOX_SIZES, PointCloud, save_clouds
 from lidarcfg.errors import CloudError, PacketError
-from lidarcfg.geometry import Array, inverse, transform
-from lidarcfg.io.kits.frames import quaternion_xyzw
+from lidarcfg.geometry import Array, inverse, quaternion_xyzw, transform
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.simulate.drive import Drive, object_names
+from lidarcfg.simulate.scene_drive import SceneDrive, object_names
 from lidarcfg.world.boxes import BoxedObject, Boxes, boxed_objects, boxes_at
 
 OnWarning = Callable[[str], None]
@@ -28,7 +27,7 @@ OnWarning = Callable[[str], None]
 class DriveDataset:
     """Scans of single sensors in time order, in the sensor's frame; points have objects if these are known."""
 
-    drive: Drive
+    drive: SceneDrive
     scans: Iterable[PointCloud]
     packets: bool = False  # whether points come from packets: bags have them as the makers' drivers do
 
@@ -80,7 +79,7 @@ def hits(scan: PointCloud) -> NDArray[np.int32]:
 
 
 def load_drive(
-    capture: Path, drive: Drive, truth: Path | None, model: str | None, on_warning: OnWarning
+    capture: Path, drive: SceneDrive, truth: Path | None, model: str | None, on_warning: OnWarning
 ) -> DriveDataset:
     """The capture of a drive, with the objects of its points by the export's ground truth.
 
@@ -98,7 +97,7 @@ def load_drive(
 
     def found() -> Iterator[PointCloud]:
         seen: set[str] = set()
-        for scan in scans(capture, on_warning, drive.rig, model, driver=True):
+        for scan in revolutions(capture, on_warning, drive.rig, model, driver=True):
             seen.update(scan.sensor_names)
             yield replace(scan, object=known.objects(scan), object_names=known.names) if known else scan
         if not seen:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.manifest import DriveInputs, manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import write_pcap
@@ -15,8 +15,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.io import formats
 from lidarcfg.io.drive_dataset import DriveDataset
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import simulated_scans
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
 
@@ -58,7 +58,7 @@ def export(
     if trajectory is not None and isinstance(at, Trajectory):
         raise LidarcfgError("at is a trajectory, and a file of another is given; allowed: one of them")
     output = Path(output)
-    drive = Drive.load(rig, scene, duration_s, at=at, trajectory=trajectory)
+    drive = SceneDrive.load(rig, scene, duration_s, at=at, trajectory=trajectory)
     if output.parent.is_dir():
         check_replaceable(manifest_path(output))  # not after hours
     given = DriveInputs(_file(rig), _file(scene), _file(trajectory))
@@ -69,11 +69,11 @@ def export(
         written = formats.save_dataset(output, form, dataset, False, on_warning)
         companions: list[Path] = []
     else:
-        streams = simulated_frames(drive.rig, drive.scene, drive.trajectory, drive.duration_ns, vehicle=drive.vehicle)
+        streams = simulated_packets(drive.rig, drive.scene, drive.trajectory, drive.duration_ns, vehicle=drive.vehicle)
         written = formats.Amount(write_pcap(output, in_time_order(streams)), "frames")
         companions = save_sidecar_files(output, drive.rig.mounts)
     remove_outdated(inputs.outdated(output))
-    beside = *companions, *inputs.save(output, drive, on_warning)
+    beside = *companions, *inputs.save(output, on_warning)
     return Exported((output, *beside), written.count, written.what)
 
 

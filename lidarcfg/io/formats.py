@@ -200,8 +200,8 @@ def import_rig(source: Path, output: Path, models: Mapping[str, str], scene: str
     `models` says what the kit's frames are, as `rig_of_kit` has it; `scene` which of nuScenes'. `on_warning` gets what
     was guessed and what was left out. Raises LidarcfgError.
     """
-    from lidarcfg.io.kits.kit import rig_of_kit
-    from lidarcfg.io.kits.readers import read_kit
+    from lidarcfg.io.rig_importers.importer import read_kit
+    from lidarcfg.io.rig_importers.sensor_kit import rig_of_kit
 
     rig = rig_of_kit(read_kit(source, models, scene), models, on_warning)
     save_rig(rig, output)

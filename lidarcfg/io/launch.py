@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 
-from lidarcfg.io.kits.frames import BASE_LINK, quaternion_xyzw, ros_names
+from lidarcfg.geometry import quaternion_xyzw
+from lidarcfg.io.ros_names import BASE_LINK, ros_names
 from lidarcfg.sensors.rig import Rig
 
 FILE = '''\

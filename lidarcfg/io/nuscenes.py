@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.clouds.cloud import PointCloud
 from lidarcfg.errors import ConversionError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, quaternion_xyzw
 from lidarcfg.io.drive_dataset import DriveDataset, stamp_ns
-from lidarcfg.io.kits.frames import quaternion_xyzw
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.boxes import BoxedObject, Boxes, boxes_at

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.capture.ethernet import EthernetFrames, ethernet_frames
 from lidarcfg.capture.export import in_time_order
-from lidarcfg.capture.frames import Frames, frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConversionError
 from lidarcfg.files import replacing
 from lidarcfg.io.bag_reader import Message, open_bag
 from lidarcfg.packets.codec import Payloads
-from lidarcfg.packets.facts import Header, Network
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.sensors.rig import DATA_PORT, Rig, default_host
 from lidarcfg.units import SECOND_NS
 
@@ -105,7 +105,7 @@ def _frame(source: Path, topic: str, kind: str) -> str:
     return str(first.value.header.frame_id).strip("/") if first else ""
 
 
-def _stream(source: Path, topic: str, kind: str, host: str, port: int) -> Iterator[Frames]:
+def _stream(source: Path, topic: str, kind: str, host: str, port: int) -> Iterator[EthernetFrames]:
     """The packets of a topic as frames, in the order of time. A bag is opened for each: they are read side by side."""
     number = 0
     last_ns = 0
@@ -114,7 +114,7 @@ def _stream(source: Path, topic: str, kind: str, host: str, port: int) -> Iterat
             for _, alike in groupby(_packets(message, kind), key=lambda packet: len(packet[1])):
                 times_ns, data = zip(*alike, strict=True)
                 time_ns = np.maximum.accumulate(np.maximum(np.array(times_ns), last_ns))
-                yield frames(host, Payloads(time_ns, np.stack(data), port, NETWORK, HEADER, number))
+                yield ethernet_frames(host, Payloads(time_ns, np.stack(data), port, NETWORK, HEADER, number))
                 number += len(time_ns)
                 last_ns = int(time_ns[-1])
 

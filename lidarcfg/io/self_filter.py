@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Flags, transform
-from lidarcfg.io.kits.frames import BASE_LINK
+from lidarcfg.io.ros_names import BASE_LINK
 from lidarcfg.sensors.firing import NO_ELEVATIONS
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.scans import beam_ends

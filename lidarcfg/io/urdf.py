@@ -10,8 +10,9 @@ from xml.etree import ElementTree
 from lidarcfg.config.models import Vec3
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import read_regular
-from lidarcfg.io.kits.frames import BASE_LINK, FrameTree, Joint, Pose, listed, ros_names
-from lidarcfg.io.kits.kit import Kit, kit_of_tree
+from lidarcfg.io.rig_importers.frame_tree import FrameTree, Joint, Pose, listed
+from lidarcfg.io.rig_importers.sensor_kit import SensorKit, kit_of_tree
+from lidarcfg.io.ros_names import BASE_LINK, ros_names
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import catalogue
 
@@ -49,7 +50,7 @@ def _numbers(values: tuple[float, ...]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def read_urdf(path: Path, models: Mapping[str, str]) -> Kit:
+def read_urdf(path: Path, models: Mapping[str, str]) -> SensorKit:
     """The kit of a URDF. Raises ConversionError, OSError."""
     raw = read_regular(path, FILE_MAX)
     if XACRO.search(raw):
@@ -146,7 +147,9 @@ def _meshes(link: ElementTree.Element) -> tuple[str, ...]:
     return tuple(re.split(r"[\\/]", mesh.get("filename", ""))[-1] for mesh in link.iterfind(".//mesh"))
 
 
-def _with_notes(kit: Kit, path: Path, robot: ElementTree.Element, tree: FrameTree, moving: dict[str, str]) -> Kit:
+def _with_notes(
+    kit: SensorKit, path: Path, robot: ElementTree.Element, tree: FrameTree, moving: dict[str, str]
+) -> SensorKit:
     """The kit, and what was assumed of joints and meshes."""
     notes = list(kit.notes)
     used = {name for frame in kit.frames for name in (frame.name, *tree.above(frame.name))}

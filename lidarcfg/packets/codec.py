@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lidarcfg.config.models import Model
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.emulator import Emulator, NetworkSite
-from lidarcfg.packets.facts import Header, Network
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, Timing
 from lidarcfg.sensors.rig import Mount
@@ -168,9 +168,9 @@ class Codec(Timing, Protocol):
         return np.broadcast_to(batch.firings.time_ns[:, None], range_m.shape)
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
-        """The sensor's other packets: position, state, calibration, inertial measurements."""
+        """The other packets due so long after the start: position, state, calibration, inertial measurements."""
         return iter(())
 
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:

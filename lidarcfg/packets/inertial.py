@@ -17,11 +17,14 @@ GRAVITY_M_S2 = 9.80665
 CHUNK = 1024  # measurements at a time
 
 
-def samples(start_ns: int, duration_ns: int, period_ns: int) -> Iterator[tuple[Times, Times, Times]]:
-    """Some measurements at a time: numbers (n,), when they are taken, and when the host gets them, in whole µs."""
-    total = -(-duration_ns // period_ns)
-    for first in range(0, total, CHUNK):
-        number = np.arange(first, min(first + CHUNK, total))
+def samples(start_ns: int, due_ns: range, period_ns: int) -> Iterator[tuple[Times, Times, Times]]:
+    """The measurements due so long after the start, some at a time.
+
+    Numbers (n,), when they are taken, and when the host gets them, in whole µs.
+    """
+    begin, end = (-(-at_ns // period_ns) for at_ns in (due_ns.start, due_ns.stop))
+    for first in range(begin, end, CHUNK):
+        number = np.arange(first, min(first + CHUNK, end))
         time_ns = start_ns + number * period_ns
         yield number, time_ns, (time_ns + 500) // 1000 * 1000
 

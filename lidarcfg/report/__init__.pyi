@@ -1,8 +1,8 @@
 from .comparison import save_comparison as save_comparison
-from .document import Baseline as Baseline
-from .document import Commands as Commands
 from .front import save_front as save_front
 from .results import evaluation_dict as evaluation_dict
 from .results import save_evaluation as save_evaluation
 from .results import save_placement as save_placement
+from .rig_report import Baseline as Baseline
+from .rig_report import Commands as Commands
 from .sweep import SweepFolder as SweepFolder

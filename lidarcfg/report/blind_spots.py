@@ -1,29 +1,27 @@
 """Blind spots in a report, by posts around the vehicle; and what no sensor sees whatever its beams."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
 
 from lidarcfg.geometry import Array
 from lidarcfg.report.canvas import (
-    EXCLUDED,
     LABELS_IN,
     WIDTH_IN,
+    draw_values,
     drawing,
-    extent,
     height_in,
     panels,
     panels_in,
     sensor_dots,
-    thinned,
 )
 from lidarcfg.report.evidence import draw_body, draw_posts, finish_map
-from lidarcfg.report.html import KeyFigure
 from lidarcfg.report.table import Cell, Column, Table
-from lidarcfg.requirements.post_visibility import AZIMUTHS, WIDTH_M, PostVisibility
-from lidarcfg.requirements.post_visibility import STEP_M as POST_STEP_M
+from lidarcfg.report.text import MANY
+from lidarcfg.returns.post_visibility import AZIMUTHS, WIDTH_M, PostVisibility
+from lidarcfg.returns.post_visibility import STEP_M as POST_STEP_M
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.vsr.subspaces import Subspaces
 from lidarcfg.world.footprint import Footprint
@@ -33,17 +31,7 @@ if TYPE_CHECKING:
 
 MAP = "magma_r"
 MARGIN_M = 0.5  # shown around the posts
-
-
-def post_figure(posts: PostVisibility) -> KeyFigure:
-    """The blind spot for a post in a summary."""
-    value = "never seen at some azimuths"
-    if np.isfinite(posts.first_seen_m[posts.known]).all():
-        value = f"seen from {np.nanmax(posts.first_seen_m):.2f} m on"
-    gap_m = float(np.nanmax(posts.longest_gap_m))
-    beyond = f"longest gap beyond {gap_m:.2f} m" if gap_m else "no gap beyond"
-    detail = f"from the body, at the worst azimuth, within {posts.limit_m:g} m; {beyond}"
-    return KeyFigure(f"Blind spot, a post of {posts.height_m:g} m", value, detail)
+FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
 
 
 def posts_table(found: Sequence[PostVisibility]) -> Table:
@@ -108,10 +96,13 @@ def draw_posts_by_height(body: Footprint, rig: Rig, found: Sequence[PostVisibili
 
 
 def volumes_table(seen_by_m3: Array) -> Table:
-    """The volume by the number of LiDARs that see it (LiDARs + 1,)."""
+    """The volume by the number of LiDARs that see it (LiDARs + 1,); of very many LiDARs, FEW or more are one row."""
     total = float(seen_by_m3.sum())
-    rows = [[n, volume, volume / total] for n, volume in enumerate(seen_by_m3.tolist())]
-    columns = [Column("LiDARs", ",.0f"), Column("volume", ",.2f", "m³"), Column("part", ".2%")]
+    volumes: list[tuple[str, float]] = [(f"{n}", volume) for n, volume in enumerate(seen_by_m3.tolist())]
+    if len(volumes) > MANY + 1:
+        volumes = [*volumes[:FEW], (f"{FEW} or more", float(seen_by_m3[FEW:].sum()))]
+    columns = [Column("LiDARs"), Column("volume", ",.2f", "m³"), Column("part", ".2%")]
+    rows = [[name, volume, volume / total] for name, volume in volumes]
     return Table("The region's volume by the number of LiDARs that see it", columns, rows)
 
 
@@ -120,18 +111,15 @@ def draw_unseen(subspaces: Subspaces, rig: Rig) -> Markup:
     region = subspaces.region
     blind = (subspaces.seen_by == 0) & region.included
     metres = np.where(region.included.any(axis=2), blind.sum(axis=2) * region.cuboid_m[2], np.nan)
-    around = extent(region, "top")
     size = region.max_m - region.min_m
     tall = float(np.clip((WIDTH_IN - LABELS_IN) * size[1] / size[0], 1.4, 3.5))
 
     def draw(figure: "Figure") -> None:
         axes = figure.subplots()
-        look: dict[str, Any] = {"cmap": MAP, "vmin": 0}
-        look["vmax"] = max(float(np.nanmax(metres)), float(region.cuboid_m[2]))
-        image = axes.imshow(thinned(metres).T, extent=around, origin="lower", aspect="auto", **look)
+        most = max(float(np.nanmax(metres)), float(region.cuboid_m[2]))
+        image = draw_values(axes, region, metres, "top", cmap=MAP, vmin=0, vmax=most)
         sensor_dots(axes, rig, "top", 4)
-        axes.set(xlim=around[:2], ylim=around[2:], facecolor=(*EXCLUDED, 0.4), xlabel="x (m)", ylabel="y (m)")
-        axes.set_title("unseen height (m)")
+        axes.set(xlabel="x (m)", ylabel="y (m)", title="unseen height (m)")
         figure.colorbar(image, label="m")
 
     return drawing("unseen", height_in(tall), "a map of how much is hidden above each position", draw)

@@ -151,6 +151,14 @@ def thinned(values: Array) -> Array:
     return values
 
 
+def draw_values(axes: "Axes", region: Region, values: Array, view: str, **look: Any) -> Any:
+    """Draw a map of values (a, b), NaN where nothing counts; returns the image, for a colour bar."""
+    around = extent(region, view)
+    image = axes.imshow(thinned(values).T, extent=around, origin="lower", aspect="auto", **look)
+    axes.set(xlim=around[:2], ylim=around[2:], facecolor=(*EXCLUDED, 0.4), autoscale_on=False)
+    return image
+
+
 def shade(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, rgb: Any, alpha: float) -> None:
     """Colour the cells of a mask (a, b)."""
     from matplotlib.colors import to_rgb

@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 
@@ -16,7 +16,7 @@ from lidarcfg.study.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.study.study import Study
 from lidarcfg.study.terms import TERMS
 from lidarcfg.study.terms.misses import describe_misses
-from lidarcfg.vsr.detection import Detection, DetectionObject, GapFit, Returns
+from lidarcfg.vsr.detection import Detection, DetectionObject, Returns
 from lidarcfg.vsr.region import Region
 
 PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")
@@ -116,36 +116,9 @@ def describe_places(study: Study, item: DetectionObject, found: Detection) -> st
     return f"{found.places:,} places, {' × '.join(f'{step:g}' for step in steps)} m apart"
 
 
-def describe_hiding(hiding: Mapping[str, GapFit], origin: str) -> list[str]:
-    """A sentence for each object: whether it can be where no beam enters it, and where; `origin` of distances."""
-    return [
-        f"{truncate(name)} ({_size(found.size_m)}, {_heights(found)}) {_fits(found, origin)}."
-        for name, found in hiding.items()
-    ]
-
-
 def describe_origin(study: Study) -> str:
     """What distances along the ground begin at."""
     return "the vehicle's body" if study.vehicle else "the midpoint of the sensors' bounds"
-
-
-def _size(size_m: Sequence[float]) -> str:
-    return " × ".join(f"{edge:g}" for edge in size_m) + " m"
-
-
-def _heights(found: GapFit) -> str:
-    return "on the ground" if found.on_ground else "at any height"
-
-
-def _fits(found: GapFit, origin: str) -> str:
-    if found.nearest_at_m is None:
-        return "fits into no gap: wherever it is, a beam or the edge of a sensor's sight crosses it"
-    at = vector(found.nearest_at_m, ".1f")
-    where = f"the nearest place is {found.nearest_m:.1f} m from {origin}, at x, y = {at} m"
-    if found.in_worst:
-        others = f" and into {counted(found.subspaces - 1, 'other')}" if found.subspaces > 1 else ""
-        return f"fits unseen into the worst gap{others}; {where}"
-    return f"does not fit into the worst gap, but fits unseen into {counted(found.subspaces, 'other')}; {where}"
 
 
 def describe_returns(found: Returns) -> str:

@@ -1,4 +1,4 @@
-"""The drawings of a report: search, worst subspaces, distribution of sizes, detection and coverage."""
+"""The drawings of a report: search, worst subspaces, failures, detection and coverage; and a rig as a picture."""
 
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
@@ -17,6 +17,7 @@ from lidarcfg.report.canvas import (
     WIDTH_IN,
     colour,
     dashes,
+    draw_values,
     drawing,
     extent,
     fractions,
@@ -33,14 +34,17 @@ from lidarcfg.report.canvas import (
     shade_excluded,
     thinned,
 )
-from lidarcfg.report.inputs import Coverage, DetectionMap, ReportInputs
-from lidarcfg.report.plots import search_view
+from lidarcfg.report.inputs import Coverage, DetectionMap
+from lidarcfg.report.plots import new_figure, search_view
+from lidarcfg.report.text import summarize, truncate
 from lidarcfg.search.run import Placement
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.evaluation import Evaluation, Robustness
 from lidarcfg.study.study import Study
+from lidarcfg.vsr.cones import rig_lidars
 from lidarcfg.vsr.detection import Rings
 from lidarcfg.vsr.region import Region
+from lidarcfg.world.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,25 +62,24 @@ def draw_history(study: Study, found: Placement) -> Markup:
     return drawing("history", 2.9, alt, lambda figure: search_view(figure.subplots(), study, found))
 
 
-def worst_view(axes: "Axes", view: str, rig: Rig, found: Evaluation, count: int) -> None:
-    """The worst subspaces from one side: outlined, the first one filled."""
-    region = found.subspaces.region
-    shade_excluded(axes, region, view)
-    for rank, one in reversed(list(enumerate(found.extents[:count]))):
-        mask = one.lines[hidden(view)] > 0
-        if rank == 0:
-            shade(axes, region, mask, view, WORST, 0.35)
-        outline(axes, region, mask, view, color=_tint(rank), lw=1.4 if rank == 0 else 0.8)
-    sensor_dots(axes, rig, view, 4)
-    left, right, bottom, top = extent(region, view)
-    axes.set(xlim=(left, right), ylim=(bottom, top))
-
-
-def _number_worst(axes: "Axes", view: str, found: Evaluation, count: int) -> None:
-    """The numbers of the worst subspaces, at their centroids."""
-    ranks = range(min(count, len(found.worst)))
-    middles = np.array([[found.worst[rank].centroid_m[axis] for axis in VIEWS[view]] for rank in ranks])
-    number_places(axes, middles, [str(rank + 1) for rank in ranks], [_tint(rank) for rank in ranks])
+def _draw_worst(figure: "Figure", views: Sequence[tuple["Axes", str, Rig, Evaluation]], count: int) -> None:
+    """The worst subspaces from a side each: outlined and numbered at their centroids, the first one filled."""
+    for axes, view, rig, found in views:
+        region = found.subspaces.region
+        shade_excluded(axes, region, view)
+        for rank, one in reversed(list(enumerate(found.extents[:count]))):
+            mask = one.lines[hidden(view)] > 0
+            if rank == 0:
+                shade(axes, region, mask, view, WORST, 0.35)
+            outline(axes, region, mask, view, color=_tint(rank), lw=1.4 if rank == 0 else 0.8)
+        sensor_dots(axes, rig, view, 4)
+        left, right, bottom, top = extent(region, view)
+        axes.set(xlim=(left, right), ylim=(bottom, top))
+    lay_out(figure)
+    for axes, view, _, found in views:
+        ranks = range(min(count, len(found.worst)))
+        middles = np.array([[found.worst[rank].centroid_m[axis] for axis in VIEWS[view]] for rank in ranks])
+        number_places(axes, middles, [str(rank + 1) for rank in ranks], [_tint(rank) for rank in ranks])
 
 
 def _tint(rank: int) -> str:
@@ -102,52 +105,12 @@ def draw_worst(study: Study, rig: Rig, found: Evaluation) -> Markup:
         views = dict(zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True))
         drawn = {view: figure.add_subplot(place) for view, place in views.items()}
         for view, axes in drawn.items():
-            worst_view(axes, view, rig, found, len(found.worst))
             _draw_zones(axes, view, study)
             name_axes(axes, view, "" if view == "top" else " (height stretched)")
-        lay_out(figure)
-        for view, axes in drawn.items():
-            _number_worst(axes, view, found, len(found.worst))
+        _draw_worst(figure, [(axes, view, rig, found) for view, axes in drawn.items()], len(found.worst))
 
     alt = f"the {len(found.worst)} worst subspaces in the region, from top, side and front"
     return drawing("worst", 4.6, alt, draw)
-
-
-def draw_sizes(named: Sequence[tuple[str, ReportInputs]]) -> Markup:
-    """Histograms of VSR: the number of subspaces, and the percentage of the region's volume that they hold."""
-    most = max(rig.evaluation.max_vsr_m for _, rig in named)
-    least = min(float(rig.evaluation.vsr_m.min()) for _, rig in named)
-    edges = np.geomspace(least * 0.999, max(most, least * 1.2) * 1.001, 41)
-
-    def draw(figure: "Figure") -> None:
-        from matplotlib.ticker import LogLocator, NullFormatter
-
-        counts, volumes = figure.subplots(2, 1, sharex=True)
-        for i, (name, rig) in enumerate(named):
-            vsr_m = rig.evaluation.vsr_m
-            volume = rig.volume_m3
-            style: dict[str, Any] = {"color": colour(i), "label": label(name)}
-            filled = {"histtype": "stepfilled", "alpha": 0.75}
-            line = {"histtype": "step", "lw": 1.5, "ls": dashes(i)}
-            style |= filled if len(named) == 1 else line
-            counts.hist(vsr_m, edges, **style)
-            volumes.hist(vsr_m, edges, weights=100 * volume / volume.sum(), **style)
-            worst = [one.vsr_m for one in rig.evaluation.worst]
-            code = WORST if len(named) == 1 else colour(i)
-            for axes in (counts, volumes):
-                axes.vlines(worst, 0, 0.06, color=code, lw=1, transform=axes.get_xaxis_transform())
-        counts.set(xscale="log", yscale="log", ylabel="subspaces")
-        volumes.set(ylabel="volume (%)", xlabel="VSR of a subspace (m)")
-        for axis in (counts.yaxis, volumes.xaxis):
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter(NullFormatter())
-        volumes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        if len(named) > 1:
-            counts.legend(ncols=2)
-        for axes in (counts, volumes):
-            axes.grid(True)
-
-    return drawing("sizes", 3.9, "histograms of VSR: number of subspaces, and percentage of the volume", draw)
 
 
 def lost_view(axes: "Axes", titled: Sequence[tuple[str, Robustness]]) -> None:
@@ -169,15 +132,13 @@ def lost_view(axes: "Axes", titled: Sequence[tuple[str, Robustness]]) -> None:
         axes.set_ylim(0, axes.get_ylim()[1] * (1 + LEGEND_ROW * -(-len(titled) // 2)))  # above the bars
 
 
-def draw_lost(titled: Sequence[tuple[str, Robustness]]) -> Markup | None:
-    """Max VSR with each LiDAR lost; None where no rig has two."""
-    if not any(found.without for _, found in titled):
+def draw_lost(titled: Sequence[tuple[str, Evaluation]]) -> Markup | None:
+    """Max VSR with each LiDAR lost; None where no rig has two, or that is not known."""
+    known = [(title, found.robustness) for title, found in titled if found.robustness]
+    if not any(robust.without for _, robust in known):
         return None
-
-    def draw(figure: "Figure") -> None:
-        lost_view(figure.subplots(), titled)
-
-    return drawing("lost", 2.8, "max VSR of the whole rig, and with each LiDAR lost", draw)
+    alt = "max VSR of the whole rig, and with each LiDAR lost"
+    return drawing("lost", 2.8, alt, lambda figure: lost_view(figure.subplots(), known))
 
 
 def draw_rings(titled: Sequence[tuple[str, Mapping[str, Rings]]]) -> Markup:
@@ -253,13 +214,59 @@ def _name_outer(grid: Sequence["Axes"]) -> None:
             axes.set_xlabel("x (m)")
 
 
+def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
+    """The rig from top, side and front: the vehicle or what is excluded, the worst subspace, the sensors' axes."""
+    from matplotlib.lines import Line2D
+
+    region = study.region
+    figure = new_figure(11, 7)
+    grid = figure.add_gridspec(2, 2, width_ratios=(3, 1))
+    for view, place in zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True):
+        axes = figure.add_subplot(place)
+        if study.vehicle:
+            _draw_bodies(axes, view, study.vehicle)
+        else:
+            shade_excluded(axes, region, view)
+        shade(axes, region, found.extents[0].lines[hidden(view)] > 0, view, WORST, 0.45)
+        _draw_axes(axes, view, rig, 0.12 * float(region.max_m[VIEWS[view][1]] - region.min_m[VIEWS[view][1]]))
+        left, right, bottom, top = extent(region, view)
+        axes.set(xlim=(left, right), ylim=(bottom, top))
+        name_axes(axes, view, "" if view == "top" else " (height stretched)")
+    dots = figure.axes[0].lines[: len(rig.mounts)]
+    named = summarize([label(mount.name) for mount in rig.mounts])
+    rest = [Line2D([], [], ls="")] * (len(named) < len(dots))
+    figure.axes[0].legend([*dots[: len(named) - len(rest)], *rest], named, loc="upper right")
+    grey = "the vehicle" if study.vehicle else "excluded"
+    misses = f"misses {found.misses.mean:.2%}, " if found.misses else ""
+    title = f"{truncate(rig.name)}: {misses}max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, {grey} grey"
+    figure.suptitle(title, parse_math=False)
+    return figure
+
+
+def _draw_bodies(axes: "Axes", view: str, vehicle: Vehicle) -> None:
+    """The vehicle's bodies, from one side."""
+    from matplotlib.collections import PolyCollection
+
+    vertices, triangles = vehicle.scene.mesh()[:2]
+    seen = vertices[triangles][:, :, list(VIEWS[view])]
+    axes.add_collection(PolyCollection(list(seen), facecolors="0.75", edgecolors="0.75", lw=0.3, rasterized=True))
+
+
+def _draw_axes(axes: "Axes", view: str, rig: Rig, length: float) -> None:
+    """The sensors, each with its axis."""
+    shown = list(VIEWS[view])
+    for i, lidar in enumerate(rig_lidars(rig)):
+        at = lidar.position_m[shown]
+        tip = at + length * lidar.axis[shown]
+        axes.plot(*at, "o", color=colour(i), ms=5, zorder=3)
+        arrow = {"arrowstyle": "->", "color": colour(i), "lw": 1.5}
+        axes.annotate("", (tip[0], tip[1]), (at[0], at[1]), arrowprops=arrow, zorder=3)
+
+
 def coverage_view(axes: "Axes", view: str, region: Region, beams: NDArray[np.int64], most: float) -> Any:
     """Draw a map of beams (a, b), −1 where nothing counts; returns the image, for a colour bar."""
-    values = thinned(np.where(beams < 0, np.nan, beams.astype(np.float64)))
-    around = extent(region, view)
-    image = axes.imshow(values.T, extent=around, origin="lower", aspect="auto", cmap=MAP, vmin=0, vmax=max(most, 1))
-    axes.set(xlim=around[:2], ylim=around[2:], facecolor=(*EXCLUDED, 0.4), autoscale_on=False)
-    return image
+    values = np.where(beams < 0, np.nan, beams.astype(np.float64))
+    return draw_values(axes, region, values, view, cmap=MAP, vmin=0, vmax=max(most, 1))
 
 
 def all_beams(coverage: Coverage, view: str) -> NDArray[np.int64]:
@@ -302,17 +309,15 @@ def compare_worst(key: str, named: Sequence[tuple[str, Rig, Evaluation]]) -> Mar
 
     def draw(figure: "Figure") -> None:
         grid = figure.subplots(len(named), 2, sharex=True, sharey="col", squeeze=False)
-        for n, (row, (name, rig, found)) in enumerate(zip(grid, named, strict=True), 1):
+        drawn = []
+        for row, (name, rig, found) in zip(grid, named, strict=True):
             for view, axes in zip(("top", "side"), row, strict=True):
-                worst_view(axes, view, rig, found, 5)
                 name_axes(axes, view)
                 axes.set_title(label(name, 40) if view == "top" else "")
-                if n < len(named):
-                    axes.set_xlabel("")
-        lay_out(figure)
-        for row, (_, _, found) in zip(grid, named, strict=True):
-            for view, axes in zip(("top", "side"), row, strict=True):
-                _number_worst(axes, view, found, 5)
+                drawn.append((axes, view, rig, found))
+        for axes in grid[:-1].ravel():
+            axes.set_xlabel("")
+        _draw_worst(figure, drawn, 5)
 
     return drawing(key, 0.5 + 1.7 * len(named), "the worst subspaces of each rig, from top and side", draw)
 

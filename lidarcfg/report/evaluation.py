@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from lidarcfg.study.evaluation import OFFSETS, STEP_DEG, STEP_M, DegradedRig, Ev
 from lidarcfg.study.file import COORDINATES
 from lidarcfg.study.study import Study
 from lidarcfg.vsr.cones import rig_lidars
-from lidarcfg.vsr.detection import Rings
+from lidarcfg.vsr.detection import GapFit
 from lidarcfg.vsr.subspaces import BLIND
 from lidarcfg.vsr.zones import ZoneVsr
 
@@ -114,8 +113,8 @@ def _between(gap: int, low: float | None, high: float | None) -> str:
     return f"above {low:g}°" if high is None else f"{low:g}…{high:g}°"
 
 
-def hiding_table(details: ReportInputs) -> Table:
-    """Which objects fit into a subspace."""
+def hiding_table(fits: Mapping[str, GapFit], origin: str) -> Table:
+    """Which objects fit into a subspace; `origin` of distances."""
     columns = [
         Column("object"),
         Column("fits into the worst gap"),
@@ -131,27 +130,22 @@ def hiding_table(details: ReportInputs) -> Table:
             found.subspaces,
             *([found.largest_vsr_m, found.nearest_m, found.nearest_at_m] if found.nearest_at_m else [None] * 3),
         ]
-        for name, found in details.gap_fits.items()
+        for name, found in fits.items()
     ]
-    caption = "Objects that fit wholly into a gap, that is a subspace, with their edges parallel to the axes"
-    return Table(caption, columns, rows)
+    what = "Objects that fit wholly into a gap, that is a subspace, with their edges parallel to the axes"
+    return Table(f"{what}; the nearest place is the nearest to {origin}", columns, rows)
 
 
-def shape_table(details: ReportInputs) -> Table:
-    """Sizes of the subspaces, and beams across poles."""
-    found = details.evaluation
+def coverage_table(details: ReportInputs) -> Table:
+    """Beams across upright poles."""
     known = details.coverage
-    parts = zip(("half", "90 %", "99 %", "all"), np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0)).tolist(), strict=True)
     values = [
-        ("subspaces", len(found.subspaces), COUNT),
-        *((f"VSR that {part} of them do not exceed (m)", value, ".4f") for part, value in parts),
-        ("diameter of the largest sphere in any (m)", 2 * details.sphere_m, ".3f"),
         ("beams across an upright pole, median", known.median_beams, "g"),
         ("positions of poles with no beam", known.by_none, ".2%"),
         ("positions with one sensor's beams", known.by_one_sensor, ".2%"),
     ]
     rows = [[name, Cell(value, form=form)] for name, value, form in values]
-    return Table("Subspaces and coverage in numbers", [Column(""), Column("value", ".4f")], rows)
+    return Table("Beams across upright poles", [Column(""), Column("value", ".4f")], rows)
 
 
 def detection_table(study: Study, found: Evaluation) -> Table | None:
@@ -166,26 +160,10 @@ def detection_table(study: Study, found: Evaluation) -> Table | None:
         ]
         for item, rate in ((item, found.detection[item.name]) for item in study.detection)
     ]
-    caption = "Detection rate of each object at the places that were tried; ± is of the 95 % interval over all places"
+    paper = found.misses and not any(item.returns for item in study.detection)
+    whose = "The paper's detection rate" if paper else "Detection rate"
+    caption = f"{whose} of each object at the places that were tried; ± is of the 95 % interval over all places"
     return Table(caption, columns, rows) if rows else None
-
-
-def rings_table(rings: Mapping[str, Rings]) -> Table | None:
-    """Rates and positions, ring by ring; None without objects."""
-    if not rings:
-        return None
-    edges = next(iter(rings.values())).edges_m
-
-    def cell(ring: Rings, i: int) -> Cell:
-        rate = float(ring.rate[i])
-        return Cell(rate, f"{rate:.4f} of {ring.places[i]:,}") if ring.places[i] else Cell(None)
-
-    rows = [
-        [Cell((low, high), f"{low:g} … {high:g}"), *(cell(ring, i) for ring in rings.values())]
-        for i, (low, high) in enumerate(pairwise(edges))
-    ]
-    columns = [Column("distance", "g", "m"), *(Column(name, ".4f") for name in rings)]
-    return Table("Detection rate and number of positions, by distance", columns, rows)
 
 
 def zones_table(zones: Sequence[ZoneVsr]) -> Table:
@@ -237,16 +215,3 @@ def sensitivity_table(rig: Rig, found: Robustness) -> Table:
         f"{FAR[0]} or {FAR[1]}. In brackets: the largest increase within that range (mm)."
     )
     return Table(caption, [Column("mount"), *coordinates], rows)
-
-
-def robust_lines(found: Robustness) -> list[str]:
-    """The worst LiDAR to lose and the most sensitive axes, in words."""
-    lines = []
-    if worst := found.worst:
-        more = worst.max_vsr_m / found.whole.max_vsr_m - 1
-        name = named(worst.lost or WHOLE).text
-        lines.append(f"max VSR if {name} fails, the worst to lose: {worst.max_vsr_m:.6f} m ({more:+.1%})")
-    growth = [1e3 * found.largest_m(angles) for angles in (False, True)]
-    off = [f"{most:.1f} mm if it is off by {step}" for most, step in zip(growth, FAR, strict=True)]
-    lines.append(f"max VSR grows with one coordinate of one mount by at most {', '.join(off)}")
-    return lines

@@ -25,13 +25,13 @@ from lidarcfg.report.canvas import (
 from lidarcfg.report.describe import counted
 from lidarcfg.report.scenario import draw_scenario_on, scenario_rows
 from lidarcfg.requirements.evidence import Evidence, SensorView
-from lidarcfg.requirements.place_counts import PlaceCounts
-from lidarcfg.requirements.post_visibility import STEP_M as POST_STEP_M
-from lidarcfg.requirements.post_visibility import PostVisibility
+from lidarcfg.requirements.object_judge import PlaceCounts
 from lidarcfg.requirements.shadow import HiddenColumns
 from lidarcfg.requirements.verdict import RequirementVerdict
 from lidarcfg.returns.beams import Outcome
-from lidarcfg.returns.places import Zone
+from lidarcfg.returns.places import StandZone
+from lidarcfg.returns.post_visibility import STEP_M as POST_STEP_M
+from lidarcfg.returns.post_visibility import PostVisibility
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.world.footprint import Footprint
 
@@ -225,7 +225,7 @@ def draw_body(axes: "Axes", body: Footprint | None) -> None:
         axes.fill(*outline.T, facecolor=(*EXCLUDED, 0.9), edgecolor="0.2", lw=0.9, zorder=1.5)
 
 
-def _draw_zone(axes: "Axes", zone: Zone) -> None:
+def _draw_zone(axes: "Axes", zone: StandZone) -> None:
     """The zone's edges."""
     if zone.box_m is not None:
         (left, bottom), (right, top) = zone.box_m
@@ -297,7 +297,9 @@ def _draw_view(axes: "Axes", view: SensorView, number: int) -> None:
     )
     axes.add_collection(silhouette)
     low, high = (extreme(axis=(0, 1)) for extreme in (triangles.min, triangles.max))
-    margin = np.maximum(0.2 * (high - low), 2.0)
+    size = high - low
+    margin = np.maximum(0.2 * size, 2.0)
+    margin[0] = max(margin[0], (0.6 * size[1] - size[0]) / 2)  # nowhere a sliver
     at = np.degrees(beams.at_rad)
     for outcome, (code, size, mark, _) in BEAMS.items():
         some = beams.outcome == outcome
@@ -305,6 +307,7 @@ def _draw_view(axes: "Axes", view: SensorView, number: int) -> None:
         style: dict[str, Any] = {"lw": 0.9} if mark in "x+" else {"lw": 0}
         axes.scatter(at[some, 0], at[some, 1], s=size, c=code, marker=mark, rasterized=rasterized, **style)
     axes.set(xlim=(high[0] + margin[0], low[0] - margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
+    axes.set_aspect("equal")
     gone = ", lost" if view.lost else ""
     axes.set_title(f"{label(view.name, 18)}: {beams.returns}{gone}", color=colour(number), fontsize=8)
     axes.tick_params(labelsize=7)

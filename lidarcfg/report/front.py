@@ -2,43 +2,32 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from lidarcfg import __version__
-from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.config.document import yaml_text
-from lidarcfg.errors import CloudError, ConfigError
-from lidarcfg.files import remove_outdated, replacing
+from lidarcfg.files import remove_outdated
 from lidarcfg.geometry import Array
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
-from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price, versions
-from lidarcfg.report.document import Commands
-from lidarcfg.report.html import KeyFigure, render
+from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price
 from lidarcfg.report.inputs import report_inputs
+from lidarcfg.report.key_figures import KeyFigure
+from lidarcfg.report.page import Section, facts, figure, page
 from lidarcfg.report.plots import CUT_OFF, new_figure, save_figure
-from lidarcfg.report.results import (
-    FRONT,
-    PAIR,
-    RESULTS,
-    fingerprint,
-    save_placement,
-    to_json,
-    write_history,
-    write_text,
-)
+from lidarcfg.report.repeat import repeat_section
+from lidarcfg.report.results import RESULTS, save_placement, save_progress, to_json, write_history, write_text
+from lidarcfg.report.rig_report import Commands
 from lidarcfg.report.table import COUNT, PRICE, Cell, Column, Row, Table, named
 from lidarcfg.report.terminal import print_table, terminal
 from lidarcfg.report.text import DRAWN, truncate
 from lidarcfg.search.front import Candidate, Front, Point
-from lidarcfg.search.run import Log
+from lidarcfg.search.log import SearchLog
 from lidarcfg.study.study import Study
 
 if TYPE_CHECKING:
@@ -47,16 +36,6 @@ if TYPE_CHECKING:
 
 STUDY = "study.yaml"
 POINT = (STUDY, *RESULTS)  # the files of a point
-# the arrays of search.npz: kind and dimensions
-LOG = {
-    "cost": ("f", 2),
-    "points": ("f", 1),
-    "first": ("i", 2),
-    "told": ("i", 1),
-    "owner": ("i", 1),
-    "seconds": ("f", 1),
-    "asked": ("U", 0),
-}
 PICTURES_MAX = 8  # of rigs, in a row
 PICTURE_IN = WIDTH_IN / PICTURES_MAX
 PLOT_IN = 3.4
@@ -166,7 +145,7 @@ def save_front(
 
     `on_point` is called before each point's folder is written.
     """
-    save_front_log(study, found.logs, folder)
+    save_front_progress(study, found.log, folder)
     values = front_dict(study, found)
     names = {point.combination.name for point in found.points}
     remove_outdated(path for path in _points(folder) if path.parent.name not in names)
@@ -196,98 +175,70 @@ def _points(folder: Path) -> Iterator[Path]:
     return (point / name for point in (folder / "points").glob("*") for name in POINT)
 
 
-def save_front_log(study: Study, logs: Sequence[Sequence[Log]], folder: Path) -> None:
-    """Write search.npz, from which the search of a front can resume.
-
-    The other results of an earlier search are removed: a folder holds those of one search.
-    """
-    every = [(owner, log) for owner, of_one in enumerate(logs) for log in of_one]
-    remove_outdated(chain((folder / name for name in {*FRONT, *RESULTS} if name != "search.npz"), _points(folder)))
-    with replacing(folder / "search.npz", "wb") as file:
-        np.savez_compressed(
-            file,
-            cost=np.concatenate([log.cost for _, log in every]),
-            points=np.concatenate([np.empty(0), *(log.points.ravel() for _, log in every if log.points is not None)]),
-            first=np.array([(0, 0) if log.points is None else log.points.shape for _, log in every], np.int64),
-            told=np.array([len(log.cost) for _, log in every], np.int64),
-            owner=np.array([owner for owner, _ in every], np.int64),
-            seconds=np.array([log.seconds for _, log in every]),
-            asked=fingerprint(study),
-        )
-
-
-def load_front_logs(study: Study, folder: Path, combinations: int) -> list[list[Log]]:
-    """The logs in a folder's search.npz. Raises ConfigError if it is not one, or belongs to another search."""
-    path = folder / "search.npz"
-    try:
-        arrays = read_arrays(path, tuple(LOG))
-    except CloudError as error:
-        raise ConfigError(str(error)) from None
-    if not _is_log(arrays):
-        raise ConfigError(f"{path}: is not the log of a search for a front")
-    cost, told, owner, seconds = (arrays[key] for key in ("cost", "told", "owner", "seconds"))
-    if str(arrays["asked"]) != fingerprint(study) or set(owner.tolist()) != set(range(combinations)):
-        raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
-    logs: list[list[Log]] = [[] for _ in range(combinations)]
-    parts = np.split(cost.astype(np.float64), np.cumsum(told)[:-1])
-    first = arrays["first"]
-    points = np.split(arrays["points"], np.cumsum(first.prod(axis=1))[:-1])
-    for n, (number, part, spent) in enumerate(zip(owner.tolist(), parts, seconds.tolist(), strict=True)):
-        begun = points[n].reshape(first[n]) if first[n].all() else None
-        logs[number].append(Log(part, spent, begun))
-    return logs
-
-
-def _is_log(arrays: Mapping[str, NDArray[Any]]) -> bool:
-    """Whether these are the arrays of a search for a front, of their kinds and lengths."""
-    if {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()} != LOG:
-        return False
-    cost, told, owner, seconds = (arrays[key] for key in ("cost", "told", "owner", "seconds"))
-    first = arrays["first"]
-    if cost.shape[1] != PAIR or first.shape != (len(told), 2) or (first < 0).any():
-        return False
-    if first.prod(axis=1).sum() != len(arrays["points"]) or not np.isfinite(arrays["points"]).all():
-        return False
-    lengths = len(told) == len(owner) == len(seconds) > 0 and told.sum() == len(cost)
-    return bool(
-        lengths and (told >= 0).all() and not np.isnan(cost).any() and ((seconds >= 0) & (seconds < np.inf)).all()
-    )
+def save_front_progress(study: Study, log: SearchLog, folder: Path) -> None:
+    """Write search.npz as save_progress does; of points of an earlier front nothing remains."""
+    save_progress(study, log, folder)
+    remove_outdated(_points(folder))
 
 
 def front_page(study: Study, found: Front, values: dict[str, Any], commands: Commands) -> str:
     """The front as one HTML file beside the folder points/. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
     cheapest = found.points[0]
     best = found.points[-1]
-    tried = [one for one in found.candidates if one.evaluations]
-    return render(
-        "front.html",
-        title=f"Front: {study.name}",
-        about=f"{counted(len(found.points), 'rig')} on the front of price and objective, of "
-        f"{counted(len(found.candidates), 'combination')} of sensors; by lidarcfg {__version__} on {date()}",
-        summary=[
-            KeyFigure("The cheapest rig", price(cheapest.combination.price), _what(cheapest)),
-            KeyFigure("The best rig", price(best.combination.price), _what(best)),
-            KeyFigure("Evaluations", f"{found.evaluations:,}", f"{_spent(found)} on the front's combinations"),
-        ],
-        objective=describe_objective(study),
-        plot=front_svg(study, found),
-        points=_shown_points(study, found),
-        candidates=candidates_table(found).without("name"),
-        untried=len(found.candidates) - len(tried),
-        search=[
+    tried = sum(one.evaluations > 0 for one in found.candidates)
+    drawn = figure(
+        front_svg(study, found),
+        "Each dot is a combination of sensors with the best rig found for it: blue on the front, grey is dominated: "
+        "another costs no more and is no worse. Above: rigs of the front from the top, with their prices; x points "
+        f"right. Objective: {describe_objective(study)}.",
+    )
+    untried = (
+        f"{len(found.candidates) - tried} of them were not tried before the budget was spent. Search longer with "
+        "lidarcfg optimize --resume."
+    )
+    how = (
+        "The next evaluations went to the combination that would soonest be on the front; now and then a combination "
+        "started from the best rigs of others. A search does not prove an optimum: another seed may find rigs that are "
+        "a few per cent better or worse, and a combination that is a little worse than the front may belong on it."
+    )
+    spent = facts(
+        [
             ("solver", describe_solver(study)),
             ("evaluations", f"{found.evaluations:,}"),
             ("… of combinations that are not on the front", f"{found.dominated_evaluations:,}"),
+        ]
+    )
+    ended = "This search was interrupted." if found.interrupted else None
+    return page(
+        f"Front: {study.name}",
+        f"{counted(len(found.points), 'rig')} on the front of price and objective, of "
+        f"{counted(len(found.candidates), 'combination')} of sensors; by lidarcfg {__version__} on {date()}",
+        [
+            Section(
+                "front",
+                "Price and objective",
+                [drawn, _shown_points(study, found), "Prices are the study's, without a currency."],
+            ),
+            Section(
+                "combinations",
+                "All combinations",
+                [candidates_table(found).without("name"), untried if tried < len(found.candidates) else None],
+            ),
+            Section("search", "The search", [spent, how, ended]),
+            repeat_section(
+                "front",
+                {"The complete study, with defaults": study.file},
+                commands.typed,
+                commands.again,
+                values["seed"],
+                found.seconds,
+            ),
         ],
-        commands=commands,
-        interrupted=found.interrupted,
-        repeat=[
-            ("seed", values["seed"]),
-            ("versions", versions()),
-            ("seconds", f"{found.seconds:.2f}"),
-            ("date", date()),
+        [
+            KeyFigure(Column("the cheapest rig"), price(cheapest.combination.price), _what(cheapest)),
+            KeyFigure(Column("the best rig"), price(best.combination.price), _what(best)),
+            KeyFigure(Column("evaluations"), f"{found.evaluations:,}", f"{_spent(found)} on the front's combinations"),
         ],
-        study_yaml=yaml_text(study.file),
     )
 
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,8 @@ from numpy.typing import NDArray
 from lidarcfg import core, maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.post_visibility import PostPlaces, PostVisibility, post_visibility
 from lidarcfg.requirements.verify import Verification, Verifier
+from lidarcfg.returns.post_visibility import PostPlaces, PostVisibility, post_visibility
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.evaluation import Evaluation, robustness
 from lidarcfg.study.study import Study
@@ -29,13 +28,6 @@ Lines = NDArray[np.int32]
 Counts = NDArray[np.int64]
 
 
-class Span(NamedTuple):
-    """The least and the greatest beam gap of each LiDAR on lines of cuboids: (lidars, a, b) each."""
-
-    low: Lines
-    high: Lines
-
-
 def beams_across(subspaces: Subspaces) -> tuple[Counts, Counts, Counts]:
     """The number of each LiDAR's beams that cross the lines along x, y and z: (lidars, a, b) for the other two axes.
 
@@ -47,10 +39,10 @@ def beams_across(subspaces: Subspaces) -> tuple[Counts, Counts, Counts]:
     lidars = subspaces.gap.shape[1]
     empty = [~included.any(axis=axis) for axis in range(3)]
     x_span, y_span, z_span = [
-        Span(np.full((lidars, *one.shape), MOST, np.int32), np.full((lidars, *one.shape), -1, np.int32))
+        core.vsr.Span(np.full((lidars, *one.shape), MOST, np.int32), np.full((lidars, *one.shape), -1, np.int32))
         for one in empty
     ]
-    core.visibility.widen_spans(subspaces.label, subspaces.gap, BLIND, x_span, y_span, z_span)
+    core.vsr.widen_spans(subspaces.label, subspaces.gap, BLIND, x_span, y_span, z_span)
     x, y, z = (
         np.where(none, -1, np.maximum(span.high.astype(np.int64) - span.low, 0))
         for none, span in zip(empty, (x_span, y_span, z_span), strict=True)

@@ -1,32 +1,30 @@
 """Results as JSON and as a folder of files, with the task, seed and version."""
 
-import csv
 import json
 import math
 import re
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lidarcfg import __version__
-from lidarcfg.clouds.cloud import read_arrays
-from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.geometry import Array
-from lidarcfg.report.document import Baseline, ChoicePart, Commands, report
+from lidarcfg.report.drawings import draw_rig
 from lidarcfg.report.inputs import ReportInputs
-from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
+from lidarcfg.report.plots import draw_convergence, save_figure
+from lidarcfg.report.rig_report import Baseline, ChoicePart, Commands, report
+from lidarcfg.report.search_log import SEARCH_LOG, save_log
+from lidarcfg.report.table import Column, Table
 from lidarcfg.report.verification import verdict_page
-from lidarcfg.requirements.post_visibility import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verification
-from lidarcfg.search.run import Believed, Check, Log, Placement
+from lidarcfg.returns.post_visibility import PostVisibility
+from lidarcfg.search.log import SearchLog
+from lidarcfg.search.run import Believed, Placement
 from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
-from lidarcfg.solvers.solver import BUDGETS
 from lidarcfg.study.evaluation import OFFSETS, STEP_DEG, STEP_M, Evaluation, Robustness
 from lidarcfg.study.file import COORDINATES
 from lidarcfg.study.return_counts import STEP_M as STEP_M_OF_RETURNS
@@ -196,7 +194,8 @@ def save_placement(
     convergence = draw_convergence(study, found)
     figure = draw_rig(study, found.rig, details.evaluation)
     page = report(study, found.rig, details, values, found, commands, baseline, choice)
-    _write_progress(study, found.rig, found.log, folder)
+    save_log(study, SearchLog.of(found.log), folder)
+    save_rig(found.rig, folder / "rig.yaml")
     write_text(to_json(values) + "\n", folder / "result.json")
     write_history(found.history, folder)
     save_figure(convergence, folder / "convergence.png")
@@ -222,31 +221,19 @@ def save_verdict(
 
 def write_history(history: Sequence[Any], folder: Path) -> None:
     """Write the lines of a search's history, dataclasses of one kind, into history.csv."""
+    columns = [Column(field.name) for field in fields(history[0])]
+    table = Table("", columns, [list(asdict(line).values()) for line in history])
     with replacing(folder / "history.csv") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(asdict(history[0]))
-        writer.writerows(asdict(line).values() for line in history)
+        table.write_csv(file, digits=None)
 
 
 UNPRINTED = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")  # controls and directions of text
-PROGRESS = ("search.npz", "rig.yaml")  # the files of a search that is running
 EVALUATED = ("result.json", "rig.png", "report.html")  # the files of an evaluation
 VERIFIED = ("verdict.json", "verdict.html")  # the files of a verification
-FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # the files of a front
+FRONT = (SEARCH_LOG, "front.json", "history.csv", "front.png", "front.html")  # the files of a front
 # The files of a search.
-RESULTS = (*PROGRESS, "result.json", "history.csv", "convergence.png", "rig.png", "report.html")
-LOG = {  # kind and dimensions of the arrays of search.npz
-    "cost": ("f", 2),
-    "seconds": ("f", 0),
-    "points": ("f", 2),
-    "given": ("i", 0),
-    "checked": ("i", 2),
-    "places": ("f", 2),
-    "asked": ("U", 0),
-}
-PAIR = 2  # a cost: shortfall and objective
-CHECK = 3  # how many costs were told, whether the rig passed, whether places were drawn
-PLACE = 6  # the number of a check, that of a requirement, and x, y, z and heading
+RESULTS = (SEARCH_LOG, "rig.yaml", "result.json", "history.csv", "convergence.png", "rig.png", "report.html")
+COMBINATIONS = "combinations.csv"  # which a search for the cheapest rig writes, too
 
 
 def check_writable(folder: Path, names: Iterable[str]) -> None:
@@ -261,83 +248,16 @@ def check_writable(folder: Path, names: Iterable[str]) -> None:
         check_replaceable(folder / name)
 
 
-def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
-    """Write the best rig so far to rig.yaml, and search.npz, from which a search can resume.
+def save_progress(study: Study, log: SearchLog, folder: Path, rig: Rig | None = None) -> None:
+    """Write search.npz, from which a search can resume, and the best rig so far to rig.yaml, if there is one.
 
     The other results of an earlier search are removed: a folder holds those of one search.
     """
-    remove_outdated(folder / name for name in {*RESULTS, *FRONT} if name not in PROGRESS)
-    _write_progress(study, rig, log, folder)
-
-
-def _write_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
-    with replacing(folder / "search.npz", "wb") as file:
-        np.savez_compressed(file, **log_arrays(log), asked=fingerprint(study))
-    save_rig(rig, folder / "rig.yaml")
-
-
-def log_arrays(log: Log) -> dict[str, Any]:
-    """The arrays of search.npz."""
-    places = [
-        np.column_stack([np.full((len(some), 2), (n, number)), some])
-        for n, check in enumerate(log.checks)
-        for number, some in check.places.items()
-    ]
-    return {
-        "cost": log.cost,
-        "seconds": log.seconds,
-        "points": np.empty((0, 0)) if log.points is None else log.points,
-        "given": log.given,
-        "checked": np.array([(one.told, one.passed, one.drawn) for one in log.checks], np.int64).reshape(-1, CHECK),
-        "places": np.concatenate([np.empty((0, PLACE)), *places]),
-    }
-
-
-def log_of(arrays: Mapping[str, Any]) -> Log | None:
-    """The log in the arrays of search.npz; None if they are none."""
-    columns = {"cost": PAIR, "checked": CHECK, "places": PLACE}
-    if {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()} != LOG:
-        return None
-    if any(arrays[key].shape[1] != count for key, count in columns.items()):
-        return None
-    cost, seconds, points, given, checked, places = (arrays[key] for key in LOG if key != "asked")
-    if not 0 <= given <= len(points):
-        return None
-    if np.isnan(cost).any() or not 0 <= seconds < np.inf or not np.isfinite(points).all():
-        return None
-    if not np.isfinite(places).all() or not np.isin(places[:, 0], range(len(checked))).all():
-        return None
-    checks = []
-    for n, (told, passed, drawn) in enumerate(checked.tolist()):
-        own = places[places[:, 0] == n]
-        of = {int(number): own[own[:, 1] == number, 2:] for number in dict.fromkeys(own[:, 1].tolist())}
-        checks.append(Check(told, bool(passed), of, bool(drawn)))
-    begun = points if points.size else None
-    return Log(cost.astype(np.float64), float(seconds), begun, int(given), tuple(checks))
-
-
-def load_log(study: Study, folder: Path) -> Log:
-    """The log in a folder's search.npz. Raises ConfigError if it is not one, or belongs to another search."""
-    path = folder / "search.npz"
-    try:
-        arrays = read_arrays(path, tuple(LOG))
-    except CloudError as error:
-        raise ConfigError(str(error)) from None
-    log = log_of(arrays)
-    if log is None:
-        raise ConfigError(f"{path}: is not the log of a search")
-    asked = str(arrays["asked"])
-    if asked != fingerprint(study):
-        raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
-    if log.points is not None and log.points.shape[1] != study.free.sum():
-        raise ConfigError(f"{path}: is not the log of a search")
-    return log
-
-
-def fingerprint(study: Study) -> str:
-    """Everything that determines the course of a search, as one text: the study without its budgets."""
-    solver = {key: value for key, value in study.file["solver"].items() if key not in BUDGETS}
-    return json.dumps(study.file | {"solver": solver}, sort_keys=True)
+    kept = (SEARCH_LOG, "rig.yaml") if rig else (SEARCH_LOG,)
+    remove_outdated(folder / name for name in {*RESULTS, *FRONT, COMBINATIONS} if name not in kept)
+    save_log(study, log, folder)
+    if rig:
+        save_rig(rig, folder / "rig.yaml")
 
 
 def write_text(text: str, path: Path) -> None:

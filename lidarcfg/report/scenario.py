@@ -11,7 +11,7 @@ import numpy as np
 from lidarcfg.config.document import yaml_text
 from lidarcfg.files import replacing
 from lidarcfg.report.plots import COLOURS, new_figure
-from lidarcfg.requirements.scenario_run import ScenarioCase, ScenarioResult, ScenarioRun
+from lidarcfg.requirements.scenarios.run import ScenarioCase, ScenarioResult, ScenarioRun
 from lidarcfg.sensors.rig import Mount, Rig, save_rig
 from lidarcfg.world.vehicle import Vehicle
 
@@ -73,6 +73,7 @@ def _draw_case(axes: "Axes", found: ScenarioResult, case: ScenarioCase) -> None:
         axes.axvline(worst.needed_s + case.sight_margin_s, color=COLOURS[1], ls="-.", label="earliest line of sight")
     left_s = max(2 * worst.needed_s, worst.needed_s + worst.margin_s, worst.needed_s + (case.sight_margin_s or 0.0))
     axes.set(xlim=(min(1.1 * left_s, worst.approach.lead_s), 0.0), yscale="log", ylim=(LEAST_SHOWN, None))
+    axes.yaxis.set_major_formatter("{x:g}")
     where = f", {case.impact:.0%}" if len(found.scenario.file.impacts) > 1 else ""
     axes.set_title(f"{case.speed_km_h:g} km/h{where}: {worst.margin_s:+.2f} s", fontsize=9)
     axes.grid(alpha=0.3)

@@ -13,9 +13,9 @@ from lidarcfg.files import example
 from lidarcfg.packets.families import codec
 from lidarcfg.report.describe import counted
 from lidarcfg.requirements.file import load_requirements
-from lidarcfg.requirements.scenario_file import scenario_in
+from lidarcfg.requirements.scenarios.file import scenario_in
 from lidarcfg.search.combinations import combinations
-from lidarcfg.search.plan import load_plan
+from lidarcfg.search.sweep_plan import load_plan
 from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.solvers.solver import BUDGETS

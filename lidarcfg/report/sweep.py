@@ -1,6 +1,5 @@
 """The results of a sweep in a folder: a folder for each run, and all of them in one table and a plot."""
 
-import csv
 import json
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,8 +13,10 @@ from lidarcfg.files import replacing
 from lidarcfg.report.canvas import dashes, label
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.report.results import check_writable, to_json
-from lidarcfg.search.plan import Plan, SweepCase, shown, versions
-from lidarcfg.search.sweep import RunResult
+from lidarcfg.report.table import Column, Table
+from lidarcfg.search.sweep import CaseResult
+from lidarcfg.search.sweep_plan import SweepCase, SweepPlan, shown
+from lidarcfg.search.workers import versions
 from lidarcfg.sensors.rig import save_rig
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ LAST = ("rig", "version", "error", "seconds")  # columns at the end; only second
 class SweepFolder:
     """The results of a plan's runs. A run is done once its result.json exists, which is written last."""
 
-    def __init__(self, folder: Path, plan: Plan) -> None:
+    def __init__(self, folder: Path, plan: SweepPlan) -> None:
         """Raises ConfigError if it holds the runs of another plan."""
         self.folder = folder
         self._plan = plan
@@ -58,9 +59,9 @@ class SweepFolder:
                 return self._row(run, found)
         return self._failed.get(run.number)
 
-    def save(self, run: SweepCase, outcome: RunResult) -> None:
+    def save(self, run: SweepCase, outcome: CaseResult) -> None:
         """Save the result of a run, unless another attempt may end otherwise."""
-        found = outcome.found | {"rig": None, "version": versions()["lidarcfg"], "error": outcome.error or None}
+        found = outcome.figures | {"rig": None, "version": versions()["lidarcfg"], "error": outcome.error or None}
         if outcome.rig:
             found["rig"] = f"runs/{run.digest}/rig.yaml"
             save_rig(outcome.rig, self._at(run) / "rig.yaml")
@@ -79,19 +80,16 @@ class SweepFolder:
         rows = [row for run in self._plan.runs if (row := self.row(run))]
         if not rows:
             return []
-        columns = [*dict.fromkeys(key for row in rows for key in row if key not in LAST), *LAST]
+        table = runs_table(rows)
         with replacing(self.folder / TABLES[0]) as file:
-            writer = csv.DictWriter(file, columns, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+            table.write_csv(file, digits=None)
         try:
             import pyarrow
             import pyarrow.parquet
         except ImportError:
             return [TABLES[0], *self._save_plot(rows)]
-        table = pyarrow.table({key: [row.get(key) for row in rows] for key in columns})
         with replacing(self.folder / TABLES[1], "wb") as file:
-            pyarrow.parquet.write_table(table, file)
+            pyarrow.parquet.write_table(pyarrow.Table.from_pylist(table.records), file)
         return [*TABLES, *self._save_plot(rows)]
 
     def _save_plot(self, rows: list[RunRow]) -> list[str]:
@@ -115,13 +113,19 @@ class SweepFolder:
         return {"run": run.number, **values, **found}
 
 
+def runs_table(rows: Sequence[RunRow]) -> Table:
+    """A row for each run; what one of them has not is none."""
+    keys = [*dict.fromkeys(key for row in rows for key in row if key not in LAST), *LAST]
+    return Table("The runs of a sweep", list(map(Column, keys)), [[row.get(key) for key in keys] for row in rows])
+
+
 def _is_plain(values: list[Any]) -> bool:
     """Whether values are all numbers, all texts or all booleans; others are JSON in the table."""
     kinds = {type(value) for value in values if value is not None}
     return kinds <= {int, float} or kinds in ({str}, {bool})
 
 
-def draw_sweep(plan: Plan, costs: Sequence[float | None], is_max_vsr: bool) -> "Figure | None":
+def draw_sweep(plan: SweepPlan, costs: Sequence[float | None], is_max_vsr: bool) -> "Figure | None":
     """The costs of a plan's runs against its last key with numbers: medians over seeds, least to greatest shaded.
 
     None if there is nothing to draw: no such key, no cost, or too many lines.

@@ -111,12 +111,13 @@ class Table:
         rows = [[row[n] for n in chosen] for row in self.rows]
         return Table(self.caption, [self.columns[n] for n in chosen], rows)
 
-    def write_csv(self, file: IO[str]) -> None:
-        """Write the rows as CSV, with numbers to twelve figures."""
+    def write_csv(self, file: IO[str], digits: int | None = 12) -> None:
+        """Write the rows as CSV, with numbers to so many figures; None: so that they are read back as they are."""
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(".".join(column.keys) for column in self.columns)
         for row in self.cells:
-            writer.writerow(f"{cell.value:.12g}" if isinstance(cell.value, float) else cell.value for cell in row)
+            values = (cell.value for cell in row)
+            writer.writerow(f"{v:.{digits}g}" if digits and isinstance(v, float) else v for v in values)
 
 
 def _is_number(value: Any) -> bool:

@@ -94,11 +94,11 @@ def phases(one: RequirementVerdict) -> str:
 
 def quantity(value: float, unit: str) -> str:
     """A figure with its unit."""
-    return f"{figure(value, unit)} {unit}".rstrip() if math.isfinite(value) else figure(value, unit)
+    return f"{number(value, unit)} {unit}".rstrip() if math.isfinite(value) else number(value, unit)
 
 
-def figure(value: float, unit: str) -> str:
-    """A figure to the digits that matter in its unit."""
+def number(value: float, unit: str) -> str:
+    """A number to the digits that matter in its unit."""
     if not math.isfinite(value):
         return "never" if value > 0 else "–"
     return f"{value:,.0f}" if unit in ("returns", "sensors") else f"{value:,.2f}" if unit else f"{value:,.6g}"
@@ -109,6 +109,11 @@ def signed(value: float, unit: str) -> str:
     if not math.isfinite(value):
         return "–"
     return ("+" if value >= 0 else "−") + quantity(abs(value), unit)
+
+
+def verdict_text(one: RequirementVerdict) -> str:
+    """The verdict on a requirement with its margin."""
+    return f"{PASS if one.passed else FAIL} {signed(one.margin, one.unit)}"
 
 
 def worst_place(one: RequirementVerdict) -> str:
@@ -139,8 +144,7 @@ def compared(one: RequirementVerdict, other: RequirementVerdict) -> list[Cell]:
         word = "" if one.margin == other.margin else "better" if one.margin > other.margin else "worse"
     else:
         word = "the same" if change == 0 else f"{signed(change, one.unit)} {'better' if change > 0 else 'worse'}"
-    margin = f"{signed(other.margin, one.unit)} {PASS if other.passed else FAIL}"
-    return [Cell(other.margin, margin), Cell(change, word)]
+    return [Cell(other.margin, verdict_text(other)), Cell(change, word)]
 
 
 def junit(found: Verdict, name: str) -> str:

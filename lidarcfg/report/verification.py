@@ -1,17 +1,17 @@
 """The verdict on a rig as a page of its own, and as the beginning of other reports."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 from markupsafe import Markup
 
 from lidarcfg import __version__
-from lidarcfg.config.document import yaml_text
-from lidarcfg.report.describe import date, describe_rig, versions
+from lidarcfg.report.describe import date, describe_rig
 from lidarcfg.report.evaluation import mounts_table
 from lidarcfg.report.evidence import draw_frames, draw_map, draw_views, map_caption
-from lidarcfg.report.html import render
-from lidarcfg.report.mounts import draw_mounts
+from lidarcfg.report.mounts import MOUNTS_CAPTION, draw_mounts
+from lidarcfg.report.page import Part, Section, figure, heading, page, verdict_box
+from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.table import Cell, Column, Row, Table, named
 from lidarcfg.report.text import truncate
 from lidarcfg.report.verdict import (
@@ -19,14 +19,14 @@ from lidarcfg.report.verdict import (
     PASS,
     conclusion,
     demanded,
-    figure,
+    number,
     quantity,
     remarks,
     signed,
     verdict_table,
     worst_place,
 )
-from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
+from lidarcfg.requirements.evidence import OFF_M, OFF_RAD, MountMargins
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verification
 from lidarcfg.sensors.rig import Rig, rig_to_dict
@@ -34,46 +34,28 @@ from lidarcfg.study.file import COORDINATES
 from lidarcfg.study.study import Study
 
 
-@dataclass(frozen=True)
-class RequirementPart:
-    """A requirement in a report."""
-
-    title: str
-    sentence: str
-    map: Markup | None
-    map_caption: str
-    views: Markup | None
-    margins: list[Table]
-    frames: Markup | None
+def verdict_of(found: Verdict, against: Verdict | None = None) -> Markup:
+    """The verdict at the top of a page; `against`: the verdict on another rig, shown beside it."""
+    return verdict_box(found.passed, conclusion(found), verdict_table(found, against), remarks(found))
 
 
-@dataclass(frozen=True)
-class VerdictPart:
-    """The verdict in a report."""
-
-    passed: bool
-    conclusion: str
-    table: Table
-    remarks: list[str]
-    parts: list[RequirementPart]
-
-
-def verdict_part(found: Verification, rig: Rig, against: Verdict | None = None) -> VerdictPart:
-    """A verification as a report shows it; `against`: the verdict on another rig, shown beside it."""
-    parts = [
-        RequirementPart(
-            title=f"{PASS if one.verdict.passed else FAIL}: {truncate(one.verdict.name)}",
-            sentence=sentence(one.verdict),
-            map=draw_map(one, rig, number),
-            map_caption=map_caption(one),
-            views=draw_views(one, number),
-            margins=[margins_table(margins, rig) for margins in one.margins],
-            frames=draw_frames(one, number),
+def requirement_parts(found: Verification, rig: Rig) -> Iterator[Part]:
+    """What is demanded and reached, requirement by requirement, with the evidence."""
+    for n, one in enumerate(found.evidence, 1):
+        yield heading(f"{PASS if one.verdict.passed else FAIL}: {truncate(one.verdict.name)}")
+        yield sentence(one.verdict)
+        yield figure(draw_map(one, rig, n), map_caption(one))
+        yield figure(
+            draw_frames(one, n),
+            "Returns in each frame before the impact, by speed. The target is detected at the first frame from which "
+            "the rule holds until the last moment to brake.",
         )
-        for number, one in enumerate(found.evidence, 1)
-    ]
-    verdict = found.verdict
-    return VerdictPart(verdict.passed, conclusion(verdict), verdict_table(verdict, against), remarks(verdict), parts)
+        yield figure(
+            draw_views(one, n),
+            "The worst place as each sensor sees it, in the phase of its fewest returns; beside its name, its returns. "
+            "Grey: the object's silhouette. Azimuths are counter-clockwise from ahead, as on the map; left is left.",
+        )
+        yield from (margins_table(margins, rig) for margins in one.margins)
 
 
 def margins_table(found: MountMargins, rig: Rig) -> Table:
@@ -84,7 +66,7 @@ def margins_table(found: MountMargins, rig: Rig) -> Table:
     units = f"{100 * OFF_M:g} cm", f"{math.degrees(OFF_RAD):g}°"
     names = ["lost", *(f"{name} {units[axis > 2]} off" for axis, name in enumerate(COORDINATES))]
     columns = [Column("mount"), *(Column(name, ".6g") for name in names)]
-    limit = f"at {'most' if found.at_most else 'least'} {figure(found.demanded, found.unit)} demanded"
+    limit = f"at {'most' if found.at_most else 'least'} {number(found.demanded, found.unit)} demanded"
     lost = ", ".join(filter(None, ["with a sensor lost", found.where_lost]))
     off = ", ".join(filter(None, ["with one coordinate of its mount off, either way", found.where_off]))
     caption = f"{found.what}: {limit}, {_margin(found.whole, found).text} with all mounts in place; {lost}; {off}"
@@ -92,7 +74,7 @@ def margins_table(found: MountMargins, rig: Rig) -> Table:
 
 
 def _margin(value: float, found: MountMargins) -> Cell:
-    text = f"≥ {figure(found.cap, found.unit)}" if found.cap <= value < math.inf else figure(value, found.unit)
+    text = f"≥ {number(found.cap, found.unit)}" if found.cap <= value < math.inf else number(value, found.unit)
     return Cell(value, text, mark="" if found.meets(value) else "fail")
 
 
@@ -111,16 +93,19 @@ def verdict_page(
     study: Study, rig: Rig, found: Verification, command: str | None, against: Verdict | None = None
 ) -> str:
     """The page of `lidarcfg verify`. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
-    return render(
-        "verdict.html",
-        title=f"Verdict: {rig.name}",
-        about=f"{describe_rig(rig)} in the study {study.name}; verified by lidarcfg {__version__} on {date()}",
-        summary=[],
-        found=verdict_part(found, rig, against),
-        mounts=mounts_table(rig),
-        drawing=draw_mounts(study, rig),
-        command=command,
-        study_yaml=yaml_text(study.file) if study.file else None,
-        rig_yaml=yaml_text(rig_to_dict(rig)),
-        repeat=[("versions", versions()), ("date", date())],
+    counts = (
+        "Counts are the simulator's, without noise: beams of one revolution, each sensor in its worst phase, also with "
+        "sensors lost where the requirement asks for it."
+    )
+    drawn = figure(draw_mounts(study, rig), MOUNTS_CAPTION)
+    files = {"The complete study, with defaults": study.file, "The rig as a file": rig_to_dict(rig)}
+    return page(
+        f"Verdict: {rig.name}",
+        f"{describe_rig(rig)} in the study {study.name}; verified by lidarcfg {__version__} on {date()}",
+        [
+            Section("requirements", "Requirement by requirement", [counts, *requirement_parts(found, rig)]),
+            Section("rig", "The rig", [mounts_table(rig), drawn]),
+            repeat_section("verdict", files, command),
+        ],
+        verdict=verdict_of(found.verdict, against),
     )

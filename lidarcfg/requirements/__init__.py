@@ -1,22 +1,23 @@
 """What a rig must see, and the verdict: does it?
 
-To read in this order: `kind` is the protocol of a kind of requirement, and `kinds` the table of those that there are.
-`object`, `post`, `shadow`, `scenario`, `price` and `sensor_count` are a kind each: its keys in files, the requirement
-of a study that they resolve to, and the judge, whose `judge` decides PASS or FAIL, and whose `bounds` say how far a
-search's `trial_rig` is from it. `file` reads requirements of all kinds; `resolved` has those of a study, by its
-`context`. `judges` makes a judge for each, `verify` judges a rig by all of them, `verdict` is the result and `evidence`
-what shows it. `shortfalls` judges many rigs, for searches.
+The way of a verdict, by the functions that run:
 
-Of objects, `object_requirement` has the requirement and its judge, `place_counts` what an object reaches at places, and
-`refinement` looks between the places of a grid.
+    file.entries_of           reads requirements, each of the kind in `KINDS` whose key it has
+    resolved.resolved         by each `Kind.resolve`: a `Requirement` of the study, of objects read, and zones in metres
+    Requirements.judges       by each `Requirement.judge_with`: its `Judge`
+    verify.Verifier.verify    asks each judge in turn: PASS if all pass
+    ObjectJudge.judge         measures what is reached at places of a grid, around the lowest, and with mounting errors;
+                              `RequirementVerdict.passed` if that is no less in the worst than the `returns` demanded
+    Verifier.verification     by each `Judge.evidence`: what shows it, a map, the worst place, margins
 
-Kinds share: `zone`, where something must be seen; `robustness`, the failures and mounting errors that a rig must
-withstand, and `margins`, what they leave of a requirement; `allowed_rigs`, what all rigs of a study can reach.
-`post_visibility` says where posts are seen.
+A search asks the same judges, by `shortfalls`: `Judge.bounds` says soon that a rig is no better than another.
 
-For scenarios, `scenario_file` has their files, `braking` says when braking must begin, `approach` where vehicle, target
-and parked cars are, `sight` when the target can first be seen, and `scenario_run` what the sensors see in each frame,
-and whether that is in time.
+To read in this order: `kind` is the protocol of a kind of requirement, `judge` that of a requirement and its judge.
+`object`, `post`, `shadow`, `price` and `sensor_count` are a kind each, `scenarios` a folder with one; the judge of an
+object is in `object_judge`. `file` reads requirements and has the table of kinds, `resolved` has those of a study.
+`verify` judges a rig by all of them, `verdict` is the result and `evidence` what shows it. `shortfalls` judges many
+rigs, for searches. Kinds share `robustness`, the failures and mounting errors that a rig must withstand, and
+`allowed_rigs`, what all rigs of a study can reach. What is reached at places is counted in `lidarcfg.returns`.
 """
 
 import lazy_loader

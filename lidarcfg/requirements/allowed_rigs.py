@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.geometry import Array
 from lidarcfg.packets.families import pattern
-from lidarcfg.requirements.sight import Bounds
 from lidarcfg.returns.scanners import PHASES
 from lidarcfg.sensors.firing import CycleBeams
 from lidarcfg.sensors.rig import Mount
 
 ROUNDING = 1e-9  # metres, radians, and beams
+
+Bounds = Sequence[tuple[Array, Array]]  # (3,) each: lower and upper corners of boxes in the vehicle frame
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,17 @@ class AllowedRigs:
     def range_m(self) -> float:
         """The greatest range of any sensor."""
         return max((_range_m(mount) for one in self.sensors for mount in one.mounts), default=0.0)
+
+    def beyond_range(self, at_m: Array, box_m: tuple[Array, Array]) -> str | None:
+        """Whether an object at some of the places (N, 3) is out of reach; its box is relative to its place."""
+        distance_m = self.distance_m(at_m)
+        radius_m = math.hypot(*np.maximum(abs(box_m[0]), abs(box_m[1])))
+        far = int(distance_m.argmax())
+        if distance_m[far] <= self.range_m + self.start_m + radius_m + ROUNDING:
+            return None
+        x, y, _ = at_m[far]
+        far_m = f"({x:.2f}, {y:.2f}) is {distance_m[far]:.1f} m from the bounds of all sensors"
+        return f"{far_m}, and no range exceeds {self.range_m:g} m"
 
     @property
     def start_m(self) -> float:

@@ -1,6 +1,6 @@
 """Requirements in files: those of a study, or of a file of their own that studies share.
 
-A requirement is of the kind whose key it has.
+A requirement is of the kind whose key it has. A kind is a module, and a line in `KINDS`.
 """
 
 import difflib
@@ -17,7 +17,21 @@ from lidarcfg.config.document import Key
 from lidarcfg.config.models import FileName, Model, as_model, check_names, error_at, errors_at, load, validation_error
 from lidarcfg.files import example
 from lidarcfg.requirements.kind import Entry, Item, Kind
-from lidarcfg.requirements.kinds import KINDS
+from lidarcfg.requirements.object import ObjectKind
+from lidarcfg.requirements.post import PostKind
+from lidarcfg.requirements.price import PriceKind
+from lidarcfg.requirements.scenarios.requirement import ScenarioKind
+from lidarcfg.requirements.sensor_count import SensorCountKind
+from lidarcfg.requirements.shadow import ShadowKind
+
+KINDS: dict[str, type[Kind]] = {  # by the key that only they have
+    ObjectKind.key: ObjectKind,
+    PostKind.key: PostKind,
+    ShadowKind.key: ShadowKind,
+    ScenarioKind.key: ScenarioKind,
+    PriceKind.key: PriceKind,
+    SensorCountKind.key: SensorCountKind,
+}
 
 
 class SharedFile(Item):
@@ -77,8 +91,8 @@ def _item(values: Any) -> Item:
 
 
 @dataclass(frozen=True)
-class _FromTable:
-    """How pydantic reads an item: as of the kinds that the table has then."""
+class _ByKey:
+    """How pydantic reads an item: of the kinds that the table has then, by its key."""
 
     takes_files: bool
 
@@ -90,8 +104,8 @@ class _FromTable:
         return {"anyOf": [handler(TypeAdapter(one).core_schema) for one in types]}
 
 
-AnyRequirement = Annotated[Kind, _FromTable(takes_files=False)]
-RequirementOrFile = Annotated[Item, _FromTable(takes_files=True)]
+AnyRequirement = Annotated[Kind, _ByKey(takes_files=False)]
+RequirementOrFile = Annotated[Item, _ByKey(takes_files=True)]
 
 
 class RequirementsFile(Model):

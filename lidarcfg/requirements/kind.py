@@ -1,33 +1,29 @@
-"""The protocol of a kind of requirement: its keys in files, and how rigs are judged by it.
+"""The protocol of a kind of requirement: its keys in files, which resolve to a requirement of a study.
 
-A kind is a module with a `Kind`, the keys, which resolves to a `Requirement` of a study; and a line in `kinds.KINDS`.
-The requirement makes a `Judge`, or is one. All else is optional: what a method does not say, it leaves to a default.
+A kind is a module with a `Kind`, and a line in `file.KINDS`. `judge` is the protocol of what it resolves to.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+import math
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar, Protocol
+from typing import Annotated, ClassVar, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from lidarcfg.config.document import Key
 from lidarcfg.config.models import Model, Name, error_at, errors_at
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
-from lidarcfg.requirements.allowed_rigs import AllowedRigs
-from lidarcfg.requirements.context import Context
-from lidarcfg.requirements.evidence import Evidence
-from lidarcfg.requirements.trial_rig import TrialRig
-from lidarcfg.requirements.verdict import RequirementVerdict
-from lidarcfg.returns.counts import OnPlaces, no_progress
-from lidarcfg.returns.known import Share, Standing
-from lidarcfg.returns.target import Target
-from lidarcfg.sensors.rig import SENSORS_MAX, Mount
+from lidarcfg.requirements.allowed_rigs import Bounds
+from lidarcfg.requirements.judge import Requirement
+from lidarcfg.requirements.robustness import Robust
+from lidarcfg.returns.places import Sector, StandZone
+from lidarcfg.sensors.rig import SENSORS_MAX
+from lidarcfg.world.footprint import Footprint
+from lidarcfg.world.tracer import Obstacles
+from lidarcfg.world.vehicle import Vehicle
 
 # Keys that several kinds have:
 Returns = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -39,6 +35,38 @@ Lost = Annotated[
     Annotated[int, Field(ge=0, le=SENSORS_MAX)] | None,
     Field(description="it must hold with any N sensors lost, N being this number; by default as `robust` says"),
 ]
+Sectors = Annotated[
+    Sector | None,
+    Field(description="`[from, to]`, counter-clockwise from ahead; narrows `within_m`; all around by default"),
+]
+NO_VEHICLE = "the vehicle's body, and the study has no vehicle; give one"
+
+
+@dataclass(frozen=True)
+class VehicleSite:
+    """Where requirements are to be met."""
+
+    vehicle: Vehicle | None
+    body: Footprint | None  # of the vehicle
+    obstacles: Obstacles  # what blocks beams
+    ground_m: float  # height of the ground in the vehicle frame
+    bounds: Bounds | None = None  # the box in which each sensor may be; None: not known
+
+    @classmethod
+    def of(cls, vehicle: Vehicle | None, obstacles: Obstacles, ground_m: float, bounds: Bounds | None = None) -> Self:
+        """The site around a vehicle."""
+        return cls(vehicle, Footprint.of(vehicle.scene.mesh()) if vehicle else None, obstacles, ground_m, bounds)
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a study has that its requirements do not say themselves."""
+
+    site: VehicleSite
+    robust: Robust | None = None
+    prices: Mapping[str, float] = field(default_factory=dict)  # by model
+    sensors: int | None = None  # how many there are; None: not known
+    models: Sequence[str] = ()  # that may be among them
 
 
 class Item(Model):
@@ -63,7 +91,7 @@ class Kind(Item):
         """Read what it names, where no study is at hand. Raises ConfigError with file, line and key."""
 
     @abstractmethod
-    def resolve(self, entry: "Entry", context: Context) -> "Requirement":
+    def resolve(self, entry: "Entry", context: Context) -> Requirement:
         """The requirement of a study. Raises ConfigError with file, line and key."""
 
 
@@ -94,120 +122,17 @@ class Entry:
             raise self.error(f"{lost} of {context.sensors} sensors lost leave none; {allowed}", "lost")
         return lost
 
+    def vehicle(self, site: VehicleSite) -> tuple[Vehicle, Footprint]:
+        """The vehicle, which the requirement needs, and its outline. Raises ConfigError without one."""
+        if site.vehicle is None or site.body is None:
+            raise self.error(f"needs {NO_VEHICLE}", self.item.key)
+        return site.vehicle, site.body
 
-class Judge(ABC):
-    """Judges rigs by one requirement."""
-
-    is_slow: ClassVar[bool] = False  # as frames are fired, which takes seconds
-
-    @property
-    def work(self) -> int:
-        """The number of places at which rigs are measured, or that would take as long; for progress."""
-        return 1
-
-    @abstractmethod
-    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
-        """The verdict on a rig; `on_places` is told how much more of `work` is done."""
-
-    def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:
-        """Ever greater lower bounds of a rig's shortfall; the last one is exact. Without `stops` only that."""
-        if stops:
-            yield 0.0
-        yield self.judge(rig.mounts).shortfall
-
-    def learn(self) -> None:  # noqa: B027  # most learn nothing
-        """Called after every batch of trials, so that later ones use its findings."""
-
-    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
-        """The evidence for a verdict on a rig, without mounting errors."""
-        return Evidence(found)
-
-    # Where places may join those at which trials are judged, a judge says which:
-
-    def missed_share(self, mounts: Sequence[Mount]) -> float:
-        """At how many of the places of trials a rig fails, as a fraction; 0 where none can join."""
-        return 0.0
-
-    def drawn(self, count: int, seed: Sequence[int]) -> Array:
-        """(count, 4) drawn places that may join; fewer are the first of these."""
-        return NO_PLACES
-
-    def missed_nearby(self, mounts: Sequence[Mount]) -> Array:
-        """(n, 4) places around the lowest of those of trials at which a rig fails, the worst first; soon found."""
-        return NO_PLACES
-
-    def missed(self, mounts: Sequence[Mount]) -> Array:
-        """(n, 4) places that trials leave out and at which a rig fails, the worst first."""
-        return NO_PLACES
-
-    def missed_between(self, mounts: Sequence[Mount]) -> Array:
-        """(n, 4) the same, where only a verdict looks."""
-        return NO_PLACES
-
-    def around(self, found: RequirementVerdict) -> Array:
-        """(n, 4) the worst place of a verdict, and those around."""
-        return NO_PLACES
-
-
-NO_PLACES = np.empty((0, 4))
-
-
-class ReturnSums(Protocol):
-    """A requirement of returns that are the sum of what each sensor gets alone."""
-
-    @property
-    def target(self) -> Target:
-        """The object that returns them."""
-
-    @property
-    def returns(self) -> int:
-        """How many are demanded."""
-
-    def in_order(self) -> Array:
-        """(P, 4) the places of trials; the first are spread evenly."""
-
-    @property
-    def quick(self) -> int | None:
-        """How many of them tell most; None: all."""
-
-    def short(self, places: Array, counts: NDArray[np.int32]) -> Array:
-        """(n,) the relative shortfalls at places (P, 4), of the sensors' counts (P, sensors)."""
-
-
-class Requirement(ABC):
-    """A requirement of a study."""
-
-    name: str
-    lost: int = 0  # sensors that fail
-
-    @abstractmethod
-    def judge_with(self, share: Share | None = None) -> Judge:
-        """A judge. `share`: what is known of the returns at the places where it counts, if it does."""
-
-    @property
-    def standing(self) -> Standing | None:
-        """The object whose returns are counted, where it may stand; None: none are."""
-        return None
-
-    def standing_in_trials(self, more: Array) -> Standing | None:
-        """The same where trials are judged; places `more` (n, 4) have joined."""
-        return self.standing
-
-    @property
-    def sums(self) -> ReturnSums | None:
-        """What is demanded of each sensor's returns, if these alone decide."""
-        return None
-
-    def check_mounts(self, mounts: Sequence[Mount]) -> None:
-        """Raises ConfigError for a rig that cannot be judged: no sensor is left, or something is not known of one."""
-        if self.lost >= len(mounts):
-            what = f"{self.lost} of the rig's {len(mounts)} sensors lost leave none"
-            raise ConfigError(f"{self.name}: {what}; allowed: at most {len(mounts) - 1}")
-
-    def is_exceeded(self, price: float, sensors: int) -> bool:
-        """Whether rigs of that price and number of sensors fail, wherever these are."""
-        return False
-
-    def out_of_reach(self, rigs: AllowedRigs) -> str | None:
-        """Why no rig can meet it, if that is certain."""
-        return None
+    def zone(
+        self, site: VehicleSite, within_m: tuple[float, float] | None, sector_deg: tuple[float, float] | None = None
+    ) -> StandZone:
+        """The zone around the body. Raises ConfigError without one."""
+        if site.body is None and within_m:
+            raise self.error(f"is the distance to {NO_VEHICLE}", "within_m")
+        _, body = self.vehicle(site)
+        return StandZone(body, within_m, sector_deg and (math.radians(sector_deg[0]), math.radians(sector_deg[1])))

@@ -1,4 +1,4 @@
-"""Objects: one gets its returns wherever it stands in a zone."""
+"""Objects: one gets its returns wherever it stands in a zone. `object_judge` judges rigs by that."""
 
 import math
 from typing import Annotated, ClassVar
@@ -6,17 +6,33 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from lidarcfg.config.models import COORDINATE_MAX_M, validation_error
-from lidarcfg.requirements.context import Context
-from lidarcfg.requirements.kind import Clusters, Entry, Kind, Lost, Returns
-from lidarcfg.requirements.object_requirement import KEY, ObjectRequirement
-from lidarcfg.requirements.zone import Sectors, ZoneBoxFile, zone_within
-from lidarcfg.returns.places import Distances, Heading, Stand
+from lidarcfg.config.models import COORDINATE_MAX_M, Model, Position, validation_error
+from lidarcfg.requirements.kind import Clusters, Context, Entry, Kind, Lost, Returns, Sectors, VehicleSite
+from lidarcfg.requirements.object_judge import KEY, ObjectRequirement
+from lidarcfg.returns.places import Distances, Heading, Stand, StandZone
 from lidarcfg.returns.target import ObjectOrName, Target, target_of
 from lidarcfg.sensors.rig import SENSORS_MAX, one_of
 from lidarcfg.world.footprint import Footprint
 
 HEADINGS_DEG = tuple(float(heading) for heading in range(0, 360, 45))
+
+
+class ZoneBoxFile(Model):
+    """A box in the vehicle frame that wholly contains the object."""
+
+    min_m: Position
+    max_m: Position
+
+    @model_validator(mode="after")
+    def _check(self) -> "ZoneBoxFile":
+        for axis, (low, high) in enumerate(zip(self.min_m, self.max_m, strict=True)):
+            if not low < high:
+                raise validation_error(f"{high:g} is not above min_m's {low:g}", "max_m", axis)
+        return self
+
+    def zone(self, site: VehicleSite) -> StandZone:
+        """The zone, seen from above."""
+        return StandZone(site.body, box_m=(np.array(self.min_m[:2]), np.array(self.max_m[:2])))
 
 
 class ObjectKind(Kind):
@@ -77,7 +93,7 @@ class ObjectKind(Kind):
         """The requirement of a study. Raises ConfigError with file, line and key."""
         lost = entry.lost(self.lost, context)
         site = context.site
-        zone = self.region.zone(site) if self.region else zone_within(entry, site, self.within_m, self.sector_deg)
+        zone = self.region.zone(site) if self.region else entry.zone(site, self.within_m, self.sector_deg)
         target = self._target(entry)
         if self.region is not None:
             low, high = self.region.min_m[2], self.region.max_m[2]

@@ -5,7 +5,7 @@ a narrow shadow of the bodies hides a post between the even ones.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, ClassVar
@@ -15,29 +15,24 @@ from pydantic import Field, model_validator
 
 from lidarcfg.config.models import validation_error
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.context import Context
-from lidarcfg.requirements.evidence import Evidence, sensor_views
-from lidarcfg.requirements.kind import Entry, Judge, Kind, Lost, Requirement
-from lidarcfg.requirements.margins import MountMargins, with_one_off
-from lidarcfg.requirements.post_visibility import (
+from lidarcfg.requirements.evidence import Evidence, MountMargins, sensor_views, with_one_off
+from lidarcfg.requirements.judge import Judge, Requirement, TrialRig
+from lidarcfg.requirements.kind import Context, Entry, Kind, Lost, Sectors
+from lidarcfg.requirements.robustness import Robust, off_by_draws
+from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
+from lidarcfg.returns.counts import OnPlaces, no_progress
+from lidarcfg.returns.known import Share, Standing, lowest_at, shares
+from lidarcfg.returns.places import Distances
+from lidarcfg.returns.post_visibility import (
     AZIMUTHS,
     LIMIT_M,
     RUN_M,
     STEP_M,
     WIDTH_M,
-    Counts,
     Flags,
     PostPlaces,
     PostVisibility,
-    post_visibility,
 )
-from lidarcfg.requirements.robustness import Robust, misplaced
-from lidarcfg.requirements.trial_rig import TrialRig
-from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
-from lidarcfg.requirements.zone import Sectors, zone_within
-from lidarcfg.returns.counts import OnPlaces, no_progress
-from lidarcfg.returns.known import Share, Standing, lowest_at, shares
-from lidarcfg.returns.places import Distances
 from lidarcfg.returns.silhouettes import Core, Silhouettes, centres_of
 from lidarcfg.returns.target import Size, Target, box_target
 from lidarcfg.sensors.rig import Distance, Mount
@@ -76,10 +71,9 @@ class PostKind(Kind):
         """The requirement of a study. Raises ConfigError with file, line and key."""
         lost = entry.lost(self.lost, context)
         site = context.site
-        zone = zone_within(entry, site, self.within_m, self.sector_deg)
+        zone = entry.zone(site, self.within_m, self.sector_deg)
         assert zone.body
-        within_m = self.within_m or (0.0, LIMIT_M)
-        posts = PostPlaces.around(zone.body, site.ground_m, within_m, zone)
+        posts = PostPlaces.around(zone.body, site.ground_m, self.within_m or (0.0, LIMIT_M), zone)
         if not posts.counts.any():
             raise entry.error("no post stands there; widen the zone", "within_m")
         return PostRequirement(
@@ -88,7 +82,6 @@ class PostKind(Kind):
             height_m=self.post_height_m,
             first_seen_at_most_m=self.first_seen_at_most_m,
             gap_at_most_m=self.gap_at_most_m,
-            limit_m=within_m[1],
             obstacles=site.obstacles,
             lost=lost,
             robust=context.robust,
@@ -104,7 +97,6 @@ class PostRequirement(Requirement):
     height_m: float
     first_seen_at_most_m: float | None
     gap_at_most_m: float | None
-    limit_m: float  # from the body
     obstacles: Obstacles
     lost: int = 0
     robust: Robust | None = None
@@ -123,24 +115,18 @@ class PostRequirement(Requirement):
         """A judge; `share`: the posts that count, of which others know, too."""
         return PostJudge(self, share)
 
-    def judged_by(self, seen: Flags) -> RequirementVerdict:
-        """The verdict on a rig that sees some of the posts that count (P,)."""
-        return self.judged_as(self.visibility_of(seen, self.posts))
-
     def visibility_of(self, seen: Flags, posts: PostPlaces) -> PostVisibility:
         """Where the post is seen, by flags of those posts that count (P,)."""
-        flags = np.zeros(posts.counts.shape, np.bool_)
-        flags[posts.counts] = seen
-        return PostVisibility(self.height_m, self.limit_m, posts, flags)
+        return PostVisibility.of(self.height_m, posts, seen)
 
     def farthest_m(self, seen: Flags) -> Array:
         """(limits,) what each limit is for, at the worst azimuth, if some of the posts that count (P,) are seen."""
         found = self.limits(self.visibility_of(seen, self.posts))
         return np.array([np.nanmax(values_m) for _, _, values_m, _ in found])
 
-    def judged_as(self, seen: PostVisibility, along: PostVisibility | None = None) -> RequirementVerdict:
+    def verdict(self, seen: PostVisibility, along: PostVisibility | None = None) -> RequirementVerdict:
         """The verdict on where a rig sees posts; `along` the even azimuths, if these are between them."""
-        found = [self._verdict(seen, along, *limit) for limit in self.limits(seen)]
+        found = [self._verdict_by(seen, along, *limit) for limit in self.limits(seen)]
         return min(found, key=lambda one: one.relative_margin)
 
     def limits(self, seen: PostVisibility) -> list[tuple[str, float, Array, Array]]:
@@ -153,7 +139,7 @@ class PostRequirement(Requirement):
             out.append(("longest gap", self.gap_at_most_m, gap_m, seen.longest_gap_at_m))
         return out
 
-    def _verdict(
+    def _verdict_by(
         self,
         seen: PostVisibility,
         along: PostVisibility | None,
@@ -170,7 +156,7 @@ class PostRequirement(Requirement):
         row = seen.places.distance_m[worst]
         number = int(abs(row - at).argmin()) if math.isfinite(at) else len(row) - 1
         place = seen.places.places[worst, number]
-        short = np.where(np.isinf(known), 1.0, np.clip((known - limit_m) / self.limit_m, 0, 1))[seen.known]
+        short = np.where(np.isinf(known), 1.0, np.clip((known - limit_m) / seen.limit_m, 0, 1))[seen.known]
         count = int(seen.places.counts.sum())
         if along is None:
             note = f"{what} decides; {seen.summary}"
@@ -203,11 +189,6 @@ class PostJudge(Judge):
         self._share = share or shares([item.standing], item.obstacles)[0]
         self._silhouettes = Silhouettes(item.obstacles)
 
-    def visibility(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> PostVisibility:
-        """Where a rig sees the post, also with sensors lost."""
-        item = self.item
-        return post_visibility(item.posts, item.height_m, mounts, item.obstacles, item.lost, item.limit_m, on_places)
-
     @property
     def work(self) -> int:
         """The number of places at which rigs are measured, for progress."""
@@ -217,10 +198,9 @@ class PostJudge(Judge):
         """The verdict on a rig."""
         whole, *without = self._verdicts(mounts, on_places)
         found = [whole]
-        robust = self.item.robust
-        if robust and robust.drawn:
-            draws = [self._verdicts(misplaced(mounts, one), on_places)[0] for one in robust.errors(len(mounts))]
-            found.append(robust.quantile_of(draws, lambda one: one.relative_margin))
+        draws = [self._verdicts(off, on_places)[0] for off in off_by_draws(self.item.robust, mounts)]
+        if self.item.robust and draws:
+            found.append(self.item.robust.quantile_of(draws, lambda one: one.relative_margin))
         worst = min(found, key=lambda one: one.relative_margin)
         breaking = [mount.name for mount, one in zip(mounts, without, strict=True) if not one.passed]
         return replace(worst, breaking=tuple(breaking) if len(mounts) > 1 else ())
@@ -229,11 +209,11 @@ class PostJudge(Judge):
         """The verdicts on a rig with sensors lost, and without each of its sensors."""
         cases = self._seen(self.item.posts, mounts)
         on_places(len(self.item.posts.counted))
-        out = [self.item.judged_as(one) for one in cases]
+        out = [self.item.verdict(one) for one in cases]
         posts = self._between(cases, mounts)
         if posts is None:
             return out
-        between = [self.item.judged_as(one, along) for one, along in zip(self._seen(posts, mounts), cases, strict=True)]
+        between = [self.item.verdict(one, along) for one, along in zip(self._seen(posts, mounts), cases, strict=True)]
         return [min(pair, key=lambda one: one.relative_margin) for pair in zip(out, between, strict=True)]
 
     def _seen(self, posts: PostPlaces, mounts: Sequence[Mount]) -> list[PostVisibility]:
@@ -242,7 +222,7 @@ class PostJudge(Judge):
 
     def _cases(self, places: Array, mounts: Sequence[Mount]) -> list[Flags]:
         """(P,) each: whether a rig sees posts at places (P, 4) with sensors lost, and without each of its sensors."""
-        sees = self._counts(places, mounts, max(self.item.lost, 1) + 1) > 0
+        sees = self._sees(places, mounts, max(self.item.lost, 1) + 1)
         number = sees.sum(axis=1)
         return [number > self.item.lost, *(number > column for column in sees.T)]
 
@@ -262,19 +242,22 @@ class PostJudge(Judge):
         posts = self.item.posts.along(azimuth_deg)
         return posts if posts.counts.any() else None
 
-    def _counts(self, places: Array, mounts: Sequence[Mount], wanted: int) -> Counts:
-        """(P, sensors) whether each sensor gets a return from posts at places; below 0: `wanted` others do."""
+    def _sees(self, places: Array, mounts: Sequence[Mount], wanted: int) -> Flags:
+        """(P, sensors) whether each sensor sees posts at places; of more than `wanted` that do, not all."""
         if places is self.item.posts.counted:  # of which what is known is kept
-            return self._share.lowest(self._share.known.rig(mounts), 1, wanted).counts
-        return lowest_at(places, self.item.target, mounts, self.item.obstacles, 1, wanted).counts
+            lowest = self._share.lowest(self._share.known.rig(mounts), 1, wanted)
+        else:
+            lowest = lowest_at(places, self.item.target, mounts, self.item.obstacles, 1, wanted)
+        return np.asarray(lowest.counts > 0)
 
     def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
         """The evidence for a verdict on a rig, without mounting errors."""
         item = self.item
+        seen = self._sees(item.posts.counted, mounts, item.lost + 1).sum(axis=1) > item.lost
         return Evidence(
             found,
             item.posts.body,
-            map=self.visibility(mounts),
+            map=item.visibility_of(seen, item.posts),
             views=sensor_views(found, item.target, item.posts.ground_m, mounts, item.obstacles),
             margins=self.margins(mounts),
         )
@@ -282,7 +265,7 @@ class PostJudge(Judge):
     def margins(self, mounts: Sequence[Mount]) -> tuple[MountMargins, ...]:
         """What single failures and mounts that are a little off leave, by each of the two limits."""
         item = self.item
-        sees = self._counts(item.posts.counted, mounts, len(mounts) + 1) > 0
+        sees = self._sees(item.posts.counted, mounts, len(mounts) + 1)
         number = sees.sum(axis=1)
         whole = item.farthest_m(number > item.lost)
         without = np.full((len(mounts), len(whole)), np.nan)
@@ -294,7 +277,7 @@ class PostJudge(Judge):
             seen = others > item.lost
             unsure = np.flatnonzero(others == item.lost)  # where the sensor that is off decides
             places = np.ascontiguousarray(item.posts.counted[unsure])
-            seen[unsure] = lowest_at(places, item.target, moved[n : n + 1], item.obstacles, 1, 1).counts[:, 0] > 0
+            seen[unsure] = self._sees(places, moved[n : n + 1], 1)[:, 0]
             off[n, axis] = np.maximum(off[n, axis], item.farthest_m(seen))
         return tuple(
             MountMargins(
@@ -309,9 +292,8 @@ class PostJudge(Judge):
             for k, (what, limit_m, *_) in enumerate(item.limits(item.visibility_of(number > item.lost, item.posts)))
         )
 
-    def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:
-        """The shortfall of a search's trial; 0 before, as a bound."""
-        if stops:
-            yield 0.0
-        counts = self._share.lowest(rig.at, 1, self.item.lost + 1, threads=1).counts
-        yield self.item.judged_by((counts > 0).sum(axis=1) > self.item.lost).shortfall
+    def shortfall(self, rig: TrialRig) -> float:
+        """That of a trial; along the even azimuths alone."""
+        item = self.item
+        counts = self._share.lowest(rig.at, 1, item.lost + 1, threads=1).counts
+        return item.verdict(item.visibility_of((counts > 0).sum(axis=1) > item.lost, item.posts)).shortfall

@@ -8,11 +8,10 @@ from pydantic import Field
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.requirements.allowed_rigs import AllowedRigs, total_price
-from lidarcfg.requirements.context import Context
-from lidarcfg.requirements.kind import Entry, Judge, Kind, Requirement
+from lidarcfg.requirements.judge import PlainRequirement
+from lidarcfg.requirements.kind import Context, Entry, Kind
 from lidarcfg.requirements.verdict import RequirementVerdict, at_most
 from lidarcfg.returns.counts import OnPlaces, no_progress
-from lidarcfg.returns.known import Share
 from lidarcfg.sensors.rig import Mount
 
 PRICE_MAX = 1e12
@@ -35,16 +34,12 @@ class PriceKind(Kind):
 
 
 @dataclass(frozen=True)
-class PriceRequirement(Requirement, Judge):
+class PriceRequirement(PlainRequirement):
     """The sensors cost at most this."""
 
     name: str
     at_most: float
     prices: Mapping[str, float]  # by model
-
-    def judge_with(self, share: Share | None = None) -> "PriceRequirement":
-        """Itself: nothing is kept."""
-        return self
 
     def price(self, mounts: Sequence[Mount]) -> float:
         """What the sensors cost. Raises ConfigError for one without a price."""

@@ -6,7 +6,7 @@ by another about its own x, y and z axes. The draws are the same for every trial
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Annotated, Any, TypeVar
@@ -124,8 +124,8 @@ def misplaced(mounts: Sequence[Mount], errors: Array) -> tuple[Mount, ...]:
     )
 
 
-def cases(sensors: int, lost: int) -> list[list[int]]:
-    """The sensors that are left: all of them, then those of each case of failure."""
-    whole = list(range(sensors))
-    ways = combinations(whole, lost) if lost else ()
-    return [whole, *([n for n in whole if n not in gone] for gone in ways)]
+def off_by_draws(robust: Robust | None, mounts: Sequence[Mount]) -> Iterator[tuple[Mount, ...]]:
+    """The mounts with each draw of mounting errors, if any are asked for."""
+    if robust and robust.drawn:
+        for errors in robust.errors(len(mounts)):
+            yield misplaced(mounts, errors)

@@ -6,11 +6,10 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from lidarcfg.requirements.context import Context
-from lidarcfg.requirements.kind import Entry, Judge, Kind, Requirement
+from lidarcfg.requirements.judge import PlainRequirement
+from lidarcfg.requirements.kind import Context, Entry, Kind
 from lidarcfg.requirements.verdict import RequirementVerdict, at_most
 from lidarcfg.returns.counts import OnPlaces, no_progress
-from lidarcfg.returns.known import Share
 from lidarcfg.sensors.rig import SENSORS_MAX, Mount
 
 
@@ -26,15 +25,11 @@ class SensorCountKind(Kind):
 
 
 @dataclass(frozen=True)
-class SensorCountRequirement(Requirement, Judge):
+class SensorCountRequirement(PlainRequirement):
     """The rig has at most this many sensors."""
 
     name: str
     at_most: int
-
-    def judge_with(self, share: Share | None = None) -> "SensorCountRequirement":
-        """Itself: nothing is kept."""
-        return self
 
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""

@@ -1,7 +1,7 @@
 """The shadow: what the vehicle's bodies alone hide from all sensors beside it, whatever their beams."""
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, ClassVar
@@ -12,17 +12,15 @@ from pydantic import AfterValidator, Field
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.context import Context
-from lidarcfg.requirements.evidence import Evidence
-from lidarcfg.requirements.kind import Entry, Judge, Kind, Lost, Requirement
-from lidarcfg.requirements.margins import MountMargins, with_one_off
-from lidarcfg.requirements.robustness import Robust, cases, misplaced
-from lidarcfg.requirements.trial_rig import TrialRig
+from lidarcfg.requirements.evidence import Evidence, MountMargins, with_one_off
+from lidarcfg.requirements.judge import Judge, Requirement, TrialRig
+from lidarcfg.requirements.kind import Context, Entry, Kind, Lost
+from lidarcfg.requirements.robustness import Robust, off_by_draws
 from lidarcfg.requirements.verdict import RequirementVerdict, Sampling, WorstPlace
-from lidarcfg.requirements.zone import zone_within
 from lidarcfg.returns.counts import OnPlaces, no_progress
 from lidarcfg.returns.known import Share
 from lidarcfg.returns.places import Distances, ascending
+from lidarcfg.returns.reach import cases
 from lidarcfg.returns.target import SIZE_MAX_M, Size
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.footprint import Footprint
@@ -33,6 +31,8 @@ WITHIN_M = 0.0, 5.0  # of the body, unless the requirement says otherwise
 HEIGHT_M = 0.0, 2.0
 POINTS_MAX = 20_000_000
 KEPT_BYTES = 1 << 26  # of what is seen from sensors' latest places
+
+Flags = NDArray[np.bool_]
 
 Heights = Annotated[tuple[Annotated[float, Field(ge=0, le=SIZE_MAX_M)], Size], AfterValidator(ascending)]
 
@@ -53,16 +53,15 @@ class ShadowKind(Kind):
         """The requirement of a study. Raises ConfigError with file, line and key."""
         lost = entry.lost(self.lost, context)
         site = context.site
-        zone = zone_within(entry, site, self.within_m)
-        assert zone.body
-        assert site.vehicle
+        entry.zone(site, self.within_m)  # raises without a vehicle
+        vehicle, body = entry.vehicle(site)
         found = ShadowRequirement(
             name=self.name,
             at_most_m3=self.shadow_at_most_m3,
             height_m=self.height_m or HEIGHT_M,
             within_m=self.within_m or WITHIN_M,
-            vehicle=site.vehicle,
-            body=zone.body,
+            vehicle=vehicle,
+            body=body,
             ground_m=site.ground_m,
             lost=lost,
             robust=context.robust,
@@ -125,111 +124,9 @@ class ShadowRequirement(Requirement):
         """The volume of a cell."""
         return STEP_M**2 * self.layer_m
 
-    @property
-    def work(self) -> int:
-        """The number of points that are looked at, for progress."""
-        return len(self.points_m) * (1 + (self.robust.drawn if self.robust else 0))
-
-    def seen(self, mounts: Sequence[Mount]) -> NDArray[np.bool_]:
-        """(sensors, N) which points no body hides from each sensor."""
-        return np.stack([self.seen_from(np.array(mount.position_m)) for mount in mounts])
-
-    def seen_from(self, origin_m: Array) -> NDArray[np.bool_]:
+    def seen_from(self, origin_m: Array) -> Flags:
         """(N,) which points no body hides from a place (3,)."""
         return np.asarray(~self.vehicle.tracer.blocked(origin_m, self.points_m))
-
-    def hidden(self, mounts: Sequence[Mount]) -> NDArray[np.bool_]:
-        """(N,) which points are hidden from all sensors that are left in the worst case."""
-        seen = self.seen(mounts)
-        hidden = [np.asarray(~seen[kept].any(axis=0)) for kept in cases(len(mounts), self.lost)]
-        return max(hidden, key=lambda one: int(one.sum()))
-
-    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
-        """The verdict on a rig."""
-        names = [mount.name for mount in mounts]
-        seen = self.seen(mounts)
-        on_places(len(self.points_m))
-        found = [self.judged_by(seen, names)]
-        if self.robust and self.robust.drawn:
-            draws = []
-            for errors in self.robust.errors(len(mounts)):
-                draws.append(self.judged_by(self.seen(misplaced(mounts, errors)), names))
-                on_places(len(self.points_m))
-            found.append(self.robust.quantile_of(draws, lambda one: -one.reached))
-        left = self._without_each(seen)
-        breaking = tuple(name for name, volume_m3 in zip(names, left, strict=True) if volume_m3 > self.at_most_m3)
-        return replace(max(found, key=lambda one: one.reached), breaking=breaking)
-
-    def columns(self, mounts: Sequence[Mount]) -> HiddenColumns:
-        """The hidden height above each point of the ground."""
-        points = self.points_m
-        at, column = np.unique(points[:, :2], axis=0, return_inverse=True)
-        height_m = np.bincount(column.ravel(), self.hidden(mounts), len(at)) * self.layer_m
-        return HiddenColumns(at, np.asarray(height_m), STEP_M)
-
-    def margins(self, mounts: Sequence[Mount]) -> MountMargins:
-        """What single failures and mounts that are a little off leave."""
-        seen = self.seen(mounts)
-        whole_m3 = self._worst_m3(seen)
-        off = np.full((len(mounts), 6), whole_m3)
-        for n, axis, moved in with_one_off(mounts):
-            if axis < 3:  # the shadow is the same however sensors are turned
-                row = self.seen_from(np.array(moved[n].position_m))
-                off[n, axis] = max(off[n, axis], self._worst_m3(np.concatenate([seen[:n], row[None], seen[n + 1 :]])))
-        return MountMargins(
-            what="Hidden volume, in cubic metres",
-            unit="m³",
-            demanded=self.at_most_m3,
-            at_most=True,
-            whole=whole_m3,
-            without=self._without_each(seen),
-            off=off,
-        )
-
-    def _worst_m3(self, seen: NDArray[np.bool_]) -> float:
-        """The volume that is hidden in the worst case from sensors that see points as `seen` (sensors, N) says."""
-        return max(self._hidden_m3(seen[kept]) for kept in cases(len(seen), self.lost))
-
-    def _without_each(self, seen: NDArray[np.bool_]) -> Array:
-        """(sensors,) the volume that is hidden without each of them; NaN: none is left."""
-        if len(seen) == 1:
-            return np.full(1, np.nan)
-        return np.array([self._hidden_m3(np.delete(seen, n, axis=0)) for n in range(len(seen))])
-
-    def _hidden_m3(self, seen: NDArray[np.bool_]) -> float:
-        """The volume that is hidden from all of some sensors, rounded so that it can equal what is allowed."""
-        return round(int((~seen.any(axis=0)).sum()) * self.cell_m3, 9)
-
-    def judged_by(self, seen: NDArray[np.bool_], names: Sequence[str] = ()) -> RequirementVerdict:
-        """The verdict on sensors, with these names, that see points as `seen` (sensors, N) says."""
-        ways = cases(len(seen), self.lost)
-        volumes = [self._hidden_m3(seen[kept]) for kept in ways]
-        worst = int(np.argmax(volumes))
-        value = volumes[worst]
-        hidden = np.flatnonzero(~seen[ways[worst]].any(axis=0))
-        place = None
-        if len(hidden):
-            points = self.points_m[hidden]
-            distance_m = self.body.to_points_m(points[:, :2])
-            nearest = int(distance_m.argmin())
-            place = WorstPlace(float(points[nearest, 0]), float(points[nearest, 1]), None, float(distance_m[nearest]))
-        lost = [name for n, name in enumerate(names) if n not in ways[worst]]
-        whole_m3 = len(self.points_m) * self.cell_m3
-        return RequirementVerdict(
-            name=self.name,
-            kind=ShadowKind.key,
-            passed=value <= self.at_most_m3,
-            unit="m³",
-            demanded=self.at_most_m3,
-            reached=value,
-            at_most=True,
-            shortfall=float(np.mean([max(one - self.at_most_m3, 0.0) for one in volumes]))
-            / max(whole_m3, self.cell_m3),
-            worst=place,
-            lost=tuple(lost),
-            sampling=Sampling(len(self.points_m), (STEP_M, STEP_M), STEP_M),
-            notes=(f"of {whole_m3:.1f} m³ beside the body",),
-        )
 
 
 class ShadowJudge(Judge):
@@ -237,37 +134,122 @@ class ShadowJudge(Judge):
 
     def __init__(self, item: ShadowRequirement) -> None:
         self.item = item
-        self._seen: OrderedDict[bytes, NDArray[np.bool_]] = OrderedDict()  # (N,) from a place
+        self._seen_in_trials: OrderedDict[bytes, Flags] = OrderedDict()  # (N,) from a place
 
     @property
     def work(self) -> int:
         """The number of points that are looked at, for progress."""
-        return self.item.work
+        return len(self.item.points_m) * (1 + (self.item.robust.drawn if self.item.robust else 0))
 
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
-        return self.item.judge(mounts, on_places)
+        names = [mount.name for mount in mounts]
+        seen = self._seen(mounts, on_places)
+        found = [self._verdict(seen, names)]
+        draws = [self._verdict(self._seen(off, on_places), names) for off in off_by_draws(self.item.robust, mounts)]
+        if self.item.robust and draws:
+            found.append(self.item.robust.quantile_of(draws, lambda one: -one.reached))
+        left = self._without_each(seen)
+        breaking = tuple(name for name, left_m3 in zip(names, left, strict=True) if left_m3 > self.item.at_most_m3)
+        return replace(max(found, key=lambda one: one.reached), breaking=breaking)
 
     def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
         """The evidence for a verdict on a rig, without mounting errors."""
-        item = self.item
-        return Evidence(found, item.body, map=item.columns(mounts), margins=(item.margins(mounts),))
+        return Evidence(found, self.item.body, map=self._columns(mounts), margins=(self.margins(mounts),))
 
-    def bounds(self, rig: TrialRig, stops: bool = True) -> Iterator[float]:
-        """The shortfall of a search's trial; 0 before, as a bound."""
-        if stops:
-            yield 0.0
-        yield self.item.judged_by(np.stack([self._seen_from(at) for at in rig.at.t])).shortfall
+    def margins(self, mounts: Sequence[Mount]) -> MountMargins:
+        """What single failures and mounts that are a little off leave."""
+        seen = self._seen(mounts)
+        whole_m3 = max(self._volumes_m3(seen))
+        off = np.full((len(mounts), 6), whole_m3)
+        for n, axis, moved in with_one_off(mounts):
+            if axis < 3:  # the shadow is the same however sensors are turned
+                row = self.item.seen_from(np.array(moved[n].position_m))
+                off[n, axis] = max(
+                    off[n, axis], *self._volumes_m3(np.concatenate([seen[:n], row[None], seen[n + 1 :]]))
+                )
+        return MountMargins(
+            what="Hidden volume, in cubic metres",
+            unit="m³",
+            demanded=self.item.at_most_m3,
+            at_most=True,
+            whole=whole_m3,
+            without=self._without_each(seen),
+            off=off,
+        )
 
-    def _seen_from(self, origin_m: Array) -> NDArray[np.bool_]:
+    def shortfall(self, rig: TrialRig) -> float:
+        """That of a trial."""
+        return self._verdict(np.stack([self._seen_in_trial(at) for at in rig.at.t])).shortfall
+
+    def _seen_in_trial(self, origin_m: Array) -> Flags:
         key = origin_m.tobytes()
-        seen = self._seen.get(key)
+        seen = self._seen_in_trials.get(key)
         if seen is None:
             seen = self.item.seen_from(origin_m)
-            self._seen[key] = seen
+            self._seen_in_trials[key] = seen
         return seen
 
     def learn(self) -> None:
         """Called after every batch of trials: forgets the places that were asked for first."""
-        while len(self._seen) * len(self.item.points_m) > KEPT_BYTES:
-            self._seen.popitem(last=False)
+        while len(self._seen_in_trials) * len(self.item.points_m) > KEPT_BYTES:
+            self._seen_in_trials.popitem(last=False)
+
+    def _seen(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> Flags:
+        """(sensors, N) which points no body hides from each sensor."""
+        seen = np.stack([self.item.seen_from(np.array(mount.position_m)) for mount in mounts])
+        on_places(len(self.item.points_m))
+        return seen
+
+    def _columns(self, mounts: Sequence[Mount]) -> HiddenColumns:
+        """The hidden height above each point of the ground, in the worst case."""
+        seen = self._seen(mounts)
+        hidden = max((~seen[kept].any(axis=0) for kept in cases(len(seen), self.item.lost)), key=np.count_nonzero)
+        at, column = np.unique(self.item.points_m[:, :2], axis=0, return_inverse=True)
+        height_m = np.bincount(column.ravel(), hidden, len(at)) * self.item.layer_m
+        return HiddenColumns(at, np.asarray(height_m), STEP_M)
+
+    def _volumes_m3(self, seen: Flags) -> list[float]:
+        """The hidden volume in each case of failure, of sensors that see points as `seen` (sensors, N) says."""
+        return [self._hidden_m3(seen[kept]) for kept in cases(len(seen), self.item.lost)]
+
+    def _without_each(self, seen: Flags) -> Array:
+        """(sensors,) the volume that is hidden without each of them; NaN: none is left."""
+        if len(seen) == 1:
+            return np.full(1, np.nan)
+        return np.array([self._hidden_m3(np.delete(seen, n, axis=0)) for n in range(len(seen))])
+
+    def _hidden_m3(self, seen: Flags) -> float:
+        """The volume that is hidden from all of some sensors, rounded so that it can equal what is allowed."""
+        return round(int((~seen.any(axis=0)).sum()) * self.item.cell_m3, 9)
+
+    def _verdict(self, seen: Flags, names: Sequence[str] = ()) -> RequirementVerdict:
+        """The verdict on sensors, with these names, that see points as `seen` (sensors, N) says."""
+        item = self.item
+        volumes_m3 = self._volumes_m3(seen)
+        worst = int(np.argmax(volumes_m3))
+        kept = cases(len(seen), item.lost)[worst]
+        place = None
+        hidden_m = item.points_m[~seen[kept].any(axis=0)]
+        if len(hidden_m):
+            distance_m = item.body.to_points_m(hidden_m[:, :2])
+            nearest = int(distance_m.argmin())
+            place = WorstPlace(
+                float(hidden_m[nearest, 0]), float(hidden_m[nearest, 1]), None, float(distance_m[nearest])
+            )
+        whole_m3 = len(item.points_m) * item.cell_m3
+        over_m3 = float(np.mean([max(one - item.at_most_m3, 0.0) for one in volumes_m3]))
+        return RequirementVerdict(
+            name=item.name,
+            kind=ShadowKind.key,
+            passed=volumes_m3[worst] <= item.at_most_m3,
+            unit="m³",
+            demanded=item.at_most_m3,
+            reached=volumes_m3[worst],
+            at_most=True,
+            shortfall=over_m3 / max(whole_m3, item.cell_m3),
+            worst=place,
+            lost=tuple(name for n, name in enumerate(names) if n not in kept),
+            sampling=Sampling(len(item.points_m), (STEP_M, STEP_M), STEP_M),
+            notes=(f"of {whole_m3:.1f} m³ beside the body",),
+        )

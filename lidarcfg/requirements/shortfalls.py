@@ -12,11 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lidarcfg.geometry import Array, rotations
-from lidarcfg.requirements.judges import judges
-from lidarcfg.requirements.kind import Judge
+from lidarcfg.requirements.judge import Judge, TrialRig
 from lidarcfg.requirements.resolved import Requirements
 from lidarcfg.requirements.robustness import mounted
-from lidarcfg.requirements.trial_rig import TrialRig
 from lidarcfg.returns.known import RigAt
 from lidarcfg.returns.scanners import scanners_of
 from lidarcfg.sensors.rig import Mount
@@ -50,7 +48,7 @@ class Shortfalls:
         robust = requirements.robust
         self._robust = robust if robust and robust.drawn else None
         self._errors = self._robust.errors(len(mounts)) if self._robust else np.empty((0, len(mounts), 6))
-        self._judges, known = judges(requirements, mounts, more_places or {})
+        self._judges, known = requirements.judges(mounts, more_places or {})
         self._numbers = known.numbers(mounts) if known else np.zeros(len(mounts), np.int64)
 
     def rigs(self, poses: Array) -> list[Draws]:
@@ -69,10 +67,12 @@ class Shortfalls:
 
         With draws of mounting errors the larger of that of the rig as it is and of the draws' quantile counts.
         """
-        stops = self._skip and limit < math.inf
+        if not self._skip or limit == math.inf:
+            total = sum(self.shortfalls(rig))
+            return total if total < limit else math.inf
         values = [0.0] * len(self._judges)
         for slow in (False, True):  # which are judged only if nothing else refutes the rig
-            running = {n: one.bounds(rig.at_rest, stops) for n, one in enumerate(self._judges) if one.is_slow is slow}
+            running = {n: one.bounds(rig.at_rest) for n, one in enumerate(self._judges) if one.is_slow is slow}
             while running:
                 for n, bounds in list(running.items()):
                     value = next(bounds, None)
@@ -80,32 +80,26 @@ class Shortfalls:
                         del running[n]
                         continue
                     values[n] = value
-                    if stops and sum(values) >= limit:
+                    if sum(values) >= limit:
                         return math.inf
         for n, one in enumerate(self._judges):
             values[n] = self._with_errors(one, rig, values[n])
-            if stops and sum(values) >= limit:
+            if sum(values) >= limit:
                 return math.inf
-        total = sum(values)
-        return total if total < limit else math.inf
+        return sum(values)
 
     def shortfalls(self, rig: Draws) -> tuple[float, ...]:
         """A rig's shortfall of each requirement in turn."""
-        return tuple(self._with_errors(one, rig, _exact(one, rig.at_rest)) for one in self._judges)
+        return tuple(self._with_errors(one, rig, one.shortfall(rig.at_rest)) for one in self._judges)
 
     def _with_errors(self, judge: Judge, rig: Draws, at_rest: float) -> float:
         """The larger of a shortfall and its quantile over draws of mounting errors; slow judges leave these out."""
         if self._robust is None or judge.is_slow:
             return at_rest
-        values = [_exact(judge, one) for one in rig.off]
+        values = [judge.shortfall(one) for one in rig.off]
         return max(at_rest, self._robust.quantile_of(values, lambda one: -one))
 
     def learn(self) -> None:
         """Called after every batch of trials, so that later ones use its findings."""
         for one in self._judges:
             one.learn()
-
-
-def _exact(judge: Judge, rig: TrialRig) -> float:
-    *_, value = judge.bounds(rig, stops=False)
-    return value

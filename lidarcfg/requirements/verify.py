@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from lidarcfg.requirements.evidence import Evidence
-from lidarcfg.requirements.judges import judges
 from lidarcfg.requirements.resolved import Requirements
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Mount
@@ -29,7 +28,7 @@ class Verifier:
 
     def __init__(self, requirements: Requirements) -> None:
         self.requirements = requirements
-        self.judges, _ = judges(requirements)
+        self.judges, _ = requirements.judges()
 
     def check(self, mounts: Sequence[Mount]) -> None:
         """Raises ConfigError for a rig's mounts that cannot be judged: all are lost, or one needs a price."""

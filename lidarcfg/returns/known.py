@@ -51,7 +51,7 @@ class KnownReturns:
     def __init__(self, objects: Sequence[Standing], obstacles: Obstacles, mounts: Sequence[Mount] = ()) -> None:
         """`mounts`, if given, are those of later rigs. Raises ConfigError if one cannot be simulated."""
         self.objects = tuple(objects)
-        self._obstacles = obstacles
+        self.obstacles = obstacles
         self._shapes = [one.target.shape for one in objects]
         self._places = np.ascontiguousarray(np.concatenate([one.places for one in objects]))
         self._ends = np.cumsum([len(one.places) for one in objects])
@@ -61,7 +61,7 @@ class KnownReturns:
         self.numbers(mounts)
 
     def _nothing_known(self) -> core.returns.KnownReturns:
-        return core.returns.KnownReturns(self._scanners, self._shapes, self._places, self._ends, self._obstacles)
+        return core.returns.KnownReturns(self._scanners, self._shapes, self._places, self._ends, self.obstacles)
 
     def numbers(self, mounts: Sequence[Mount]) -> Numbers:
         """(S,) the scanners of mounts, whatever their poses. Raises ConfigError for those that cannot be simulated."""
@@ -76,10 +76,6 @@ class KnownReturns:
     def rig(self, mounts: Sequence[Mount]) -> RigAt:
         """A rig's mounts. Raises ConfigError as `numbers`."""
         return RigAt(self.numbers(mounts), *poses_of(mounts))
-
-    def phases(self, rig: RigAt) -> int:
-        """The number of combinations of the sensors' phases."""
-        return math.prod(self._scanners[one].phases for one in rig.scanners.tolist())
 
     def clustering(self, rig: RigAt) -> tuple[list[core.returns.Scanner], Poses]:
         """A rig's scanners and poses, as `counts.count_clusters` takes them."""
@@ -164,6 +160,11 @@ class Share:
     known: KnownReturns
     number: int  # of the object
     which: Numbers  # (P,) its places
+
+    @property
+    def target(self) -> Target:
+        """The object."""
+        return self.known.objects[self.number].target
 
     @property
     def places(self) -> Array:

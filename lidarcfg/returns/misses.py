@@ -24,7 +24,7 @@ from lidarcfg.config.models import Model, Name, Weight
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.returns.known import KnownReturns, Standing
-from lidarcfg.returns.places import Distances, Sector, Stand, Zone
+from lidarcfg.returns.places import Distances, Sector, Stand, StandZone
 from lidarcfg.returns.target import ObjectFile, Target, target_of
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.footprint import Footprint
@@ -57,7 +57,7 @@ class MissedObject:
     name: str
     weight: float
     target: Target
-    zone: Zone
+    zone: StandZone
     ground_m: float
 
     @cached_property
@@ -163,7 +163,7 @@ class Misses:
         sector = None
         if file.sector_deg:
             sector = math.radians(file.sector_deg[0]), math.radians(file.sector_deg[1])
-        zone = Zone(body, file.within_m, sector)
+        zone = StandZone(body, file.within_m, sector)
         found = []
         for name, weight in file.objects.items():
             target = target_of(ObjectFile(name=name), folder)

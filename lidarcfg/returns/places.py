@@ -60,7 +60,7 @@ Sector = Annotated[tuple[Heading, Heading], AfterValidator(_at_most_a_turn)]  # 
 
 
 @dataclass(frozen=True)
-class Zone:
+class StandZone:
     """Where an object may stand: within distances of the body and in a sector, or in a box; never in the body."""
 
     body: Footprint | None = None
@@ -81,7 +81,7 @@ class Zone:
 class Stand:
     """An object that may stand in a zone at some headings."""
 
-    zone: Zone
+    zone: StandZone
     footprint: Footprint  # of the object at heading 0, about its place
     headings_rad: Array  # (H,)
     ground_m: float  # height in the vehicle frame

@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from lidarcfg.core import world
 from lidarcfg.geometry import Array
+from lidarcfg.returns.places import SPREAD
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.meshes import Mesh, cylinder_mesh, join_meshes, sphere_mesh
 from lidarcfg.world.scene_file import Cylinder, Sphere
@@ -34,8 +35,6 @@ THIN_M = 1e-3  # narrower parts are due to rounding
 SAME_M = 2e-3  # places that are nearer to each other are looked at once
 WIDE_STEPS = 2  # of the grid: wider parts have places of the grid
 MOST = 5000  # places, in the parts that are hidden from the most sensors
-# Multiples by which positions are ordered so that the first are spread evenly: the R2 sequence (Roberts 2018).
-SPREAD = 0.7548776662466927, 0.5698402909980532
 
 Bounds = tuple[float, float, float, float]  # from x, from y, to x, to y
 Faces = NDArray[np.object_]  # polygons

@@ -3,14 +3,15 @@
     study = load_study("paper.yaml")  # what may be placed where
     rig = place(study)  # a solver proposes rigs; the one with the least cost is kept
 
-`run` is a search in progress, which `optimize` runs to its end. It may begin with given points (`points_first`):
-`starts` are the user's rigs, `plain_rigs` those that an engineer would try. `misses_search` goes on from them at ever
-more places; `requirements_search` looks for rigs that meet requirements, and then for the best of them; `achievable`
-says what no rig can meet.
+`run` is a search in progress, which `optimize` runs to its end; `log` is what it is resumed from. It may be `seeded`
+with points: `start_rigs` are the user's, `plain_rigs` those that an engineer would try. `misses_search` goes on from
+them at ever more places; `requirements_search`, with a `requirements_evaluator`, looks for rigs that meet requirements,
+and then for the best of them.
 
-Choosing sensors: `combinations` are what may be chosen, `screen` ranks their plain rigs, `front` searches price against
-objective, `cheapest` finds the cheapest rig that meets all requirements. `plan` and `sweep` run many searches, in
-processes or on a cluster (`workers`).
+Many searches: `chooser` has `workers` do the turns of many candidates, in this process, in others or on a cluster. Its
+three policies are `front`, price against objective; `cheapest`, the rig that meets all requirements; and `sweep`, the
+cases of a `sweep_plan`. The candidates of the first two are `combinations` of sensors, which learn from each other by
+`transfer`; `screening` judges their plain rigs all at once.
 """
 
 import lazy_loader

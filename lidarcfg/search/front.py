@@ -8,12 +8,12 @@ So most of the budget goes to the front. Every combination gets at least 1 / NEG
 the front have, because early values say little.
 
 After the first part of its own search, and again whenever that search has grown by the factor LATER, a combination
-learns from the others for TRANSFER evaluations: see combinations.py. None of this depends on the budget, so a resumed
+learns from the others for TRANSFER evaluations: see transfer.py. None of this depends on the budget, so a resumed
 search ends where an uninterrupted one does.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
@@ -23,11 +23,15 @@ from lidarcfg import maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.verdict import Verdict
-from lidarcfg.search.combinations import Combination, Example, combinations, options, starts
+from lidarcfg.search.chooser import Chooser
+from lidarcfg.search.combinations import Combination, combinations
+from lidarcfg.search.log import Log, Record, SearchLog
 from lidarcfg.search.plain_rigs import plain_points
-from lidarcfg.search.points_first import PointsFirst
-from lidarcfg.search.run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator
-from lidarcfg.search.starts import starting_options
+from lidarcfg.search.run import Budget, Cycle, Placement, SearchRun, TrialEvaluator
+from lidarcfg.search.seeded import SeededSearch
+from lidarcfg.search.start_rigs import points_by_combination
+from lidarcfg.search.transfer import Example, transferred
+from lidarcfg.search.workers import Job
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.solvers.cma_es import WarmStart
 from lidarcfg.solvers.search import NO_COST, FixedPoint, Search
@@ -44,7 +48,7 @@ LATER = 16  # the growth of its own search after which it does so again
 
 
 @dataclass(frozen=True)
-class Part:
+class FrontTurn:
     """A line of the history: one part of one combination's search."""
 
     evaluations: int  # of all combinations
@@ -79,8 +83,8 @@ class Front:
 
     points: tuple[Point, ...]  # by price; each has a smaller objective than the one before
     candidates: tuple[Candidate, ...]  # all combinations, by price, then objective
-    history: tuple[Part, ...]
-    logs: tuple[tuple[Log, ...], ...]  # by combination, in their own order, those of its searches
+    history: tuple[FrontTurn, ...]
+    log: SearchLog
     seconds: float
     interrupted: bool
 
@@ -113,27 +117,20 @@ def on_front(prices: Sequence[float], objectives: Sequence[float]) -> list[bool]
 def front(
     study: Study,
     threads: int | None = None,
-    on_part: Callable[["FrontRun"], None] | None = None,
-    logs: Sequence[Sequence[Log]] = (),
+    on_turn: Callable[["FrontRun"], None] | None = None,
+    log: SearchLog | None = None,
     skip: bool = True,
     rigs: Sequence[Rig] = (),
 ) -> Front:
     """Search for the rig with the least objective for each price, over all combinations that a study allows.
 
-    The result depends on the seed, not on the number of threads; budgets count for all combinations together. `logs`
-    are those of an earlier search to resume. `rigs` are tried first, each in the combination whose models it has. An
+    The result depends on the seed, not on the number of threads; budgets count for all combinations together. `log`
+    is that of an earlier search to resume. `rigs` are tried first, each in the combination whose models it has. An
     interrupt (Ctrl-C) ends the search and keeps the front so far. Raises ConfigError if nothing is to choose, for rigs
     that the study does not allow, and if no rig was found that meets the constraints.
     """
-    if not study.to_choose:
-        raise ConfigError("nothing to choose in the study: no group has `choose`")
-    search = FrontRun(study, logs, rigs)
-    interrupted = False
-    try:
-        search.run(threads, on_part, skip)
-    except KeyboardInterrupt:
-        interrupted = True
-    return search.result(interrupted)
+    run = FrontRun(study, threads, on_turn, log, skip, rigs)
+    return run.result(interrupted=run.run())
 
 
 class FrontSearch(SearchRun):
@@ -160,8 +157,6 @@ class CandidateSearch:
         self._logs = list(logs)
         study = combination.study
         points = logs[0].points if logs else None
-        if points is not None and points.shape[1] != study.free.sum():
-            raise ConfigError(f"{combination.name}: its log begins with points of another study")
         if points is None and study.objective.misses:
             points = plain_points(study)
         if not study.free.any():
@@ -169,7 +164,7 @@ class CandidateSearch:
         elif points is None:
             search = study.solver.begin(study.coordinates)
         else:
-            search = PointsFirst(study, points)
+            search = SeededSearch(study, points)
         self.runs = [self._run(search)]
         self._transfer: WarmStart | None = None  # the last one's search
 
@@ -221,7 +216,7 @@ class CandidateSearch:
         known = [candidate for candidate in searches if candidate.objective < math.inf]
         examples = [Example(one.combination, one.best.best_x, one.objective) for one in known]
         rng = np.random.default_rng([self.combination.study.solver.seed, number, len(self.runs)])
-        found = starts(self.combination, examples, rng)
+        found = transferred(self.combination, examples, rng)
         if not len(found):
             return None
         self._transfer = WarmStart(found, int(rng.integers(2**63)))
@@ -255,20 +250,28 @@ class CandidateSearch:
         )
 
 
-class FrontRun:
-    """The searches of all combinations, in progress."""
+class FrontRun(Chooser):
+    """The searches of all combinations, in progress; the policy of the front."""
 
-    def __init__(self, study: Study, logs: Sequence[Sequence[Log]] = (), rigs: Sequence[Rig] = ()) -> None:
+    def __init__(
+        self,
+        study: Study,
+        threads: int | None = None,
+        on_turn: Callable[["FrontRun"], None] | None = None,
+        log: SearchLog | None = None,
+        skip: bool = True,
+        rigs: Sequence[Rig] = (),
+    ) -> None:
         """Raises ConfigError for rigs that the study does not allow."""
-        self.study = study
-        ones = combinations(study)
-        if not logs:
-            given = starting_options(options(study), rigs)
-            logs = [[Log.empty(np.array(given[n]))] if n in given else [] for n in range(len(ones))]
-        self.searches = [CandidateSearch(one, log) for one, log in zip(ones, logs, strict=True)]
-        self.history: list[Part] = []
-        self._prices = np.array([one.price for one in ones])
-        self._budget = Budget.of(study.solver)
+        super().__init__(study, combinations(study), threads, skip, on_turn, log)
+        if log is None:
+            given = points_by_combination(self.combinations, rigs)
+            log = SearchLog({n: Record((Log.empty(np.array(points)),)) for n, points in given.items()})
+        records = (log.records.get(n, Record()) for n in range(len(self.combinations)))
+        each = zip(self.combinations, records, strict=True)
+        self.searches = [CandidateSearch(one, record.logs) for one, record in each]
+        self.history: list[FrontTurn] = []
+        self._prices = np.array([one.price for one in self.combinations])
 
     @property
     def evaluations(self) -> int:
@@ -290,46 +293,39 @@ class FrontRun:
         """(combinations,) the least so far; inf without a rig that meets the constraints."""
         return np.array([candidate.objective for candidate in self.searches])
 
-    @property
-    def spent(self) -> float:
-        """The fraction of the budget that is spent."""
-        return self._budget.fraction(self.evaluations, self.cycles)
-
     def on_front(self) -> list[bool]:
         """(combinations,) which are on the front so far."""
         return on_front(self._prices.tolist(), self.objectives.tolist())
 
-    def logs(self) -> list[list[Log]]:
-        """Everything needed to resume: the logs of each combination's searches."""
-        return [[run.log() for run in candidate.runs] for candidate in self.searches]
+    def log(self) -> SearchLog:
+        """The logs of each combination's searches."""
+        every = enumerate(self.searches)
+        return SearchLog({n: Record(tuple(run.log() for run in one.runs)) for n, one in every})
 
-    def run(self, threads: int | None, on_part: Callable[["FrontRun"], None] | None = None, skip: bool = True) -> None:
-        """Search until the budget is spent, or nothing is left to try."""
-        while (i := self._next()) is not None and not (self.history and self._is_spent()):
-            candidate = self.searches[i]
-            learner = candidate.learn(self.searches, i) if candidate.should_transfer else None
-            if learner:
-                self._work(candidate, learner, TRANSFER, threads, skip)
-            else:
-                self._work(candidate, candidate.own, max(PART, int(GROWTH * candidate.own.evaluations)), threads, skip)
-            state = candidate.evaluations, candidate.best.best_cost.number, self.on_front()[i], self.seconds
-            self.history.append(Part(self.evaluations, candidate.combination.name, *state))
-            if on_part:
-                on_part(self)
+    def rounds(self) -> Iterator[list[Job[int]]]:
+        """A turn of one combination at a time, here, until the budget is spent, or nothing is left to try."""
+        while (number := self._next()) is not None and not (self.history and self.is_spent()):
+            yield [Job(number, self._turn, (number,))]
 
-    def _work(
-        self, candidate: CandidateSearch, run: SearchRun, evaluations: int, threads: int | None, skip: bool
-    ) -> None:
-        """Run a part of one of its searches."""
-        end = run.evaluations + evaluations
-        with run.evaluator(threads, skip) as evaluator:
-            while True:
+    def _turn(self, number: int) -> FrontTurn:
+        """Let a combination's search go on, or learn from the others."""
+        candidate = self.searches[number]
+        learner = candidate.learn(self.searches, number) if candidate.should_transfer else None
+        run = learner or candidate.own
+        end = run.evaluations + (TRANSFER if learner else max(PART, int(GROWTH * run.evaluations)))
+        with run.evaluator(self._threads, self._skip) as evaluator:
+            run.step(evaluator, self._left(run))
+            while not (candidate.is_over(run) or run.evaluations >= end or self.is_spent()):
                 run.step(evaluator, self._left(run))
-                if candidate.is_over(run) or run.evaluations >= end or self._is_spent():
-                    return
+        state = candidate.evaluations, candidate.best.best_cost.number, self.on_front()[number], self.seconds
+        return FrontTurn(self.evaluations, candidate.combination.name, *state)
 
-    def _is_spent(self) -> bool:
-        return self._budget.spent(self.evaluations, self.cycles)
+    def take(self, key: int, found: FrontTurn | None) -> bool:
+        """Add a line to the history."""
+        assert found
+        self.history.append(found)
+        self._on_turn(self)
+        return False
 
     def _left(self, run: SearchRun) -> Budget:
         """The budget of one search, so that all together do not exceed theirs."""
@@ -367,7 +363,7 @@ class FrontRun:
                 Candidate(ones[i].combination, objectives[i], ones[i].evaluations, on_front[i]) for i in order
             ),
             history=tuple(self.history),
-            logs=tuple(tuple(logs) for logs in self.logs()),
+            log=self.log(),
             seconds=self.seconds,
             interrupted=interrupted,
         )

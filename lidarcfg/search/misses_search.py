@@ -20,8 +20,9 @@ from lidarcfg.geometry import Array
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.returns.known import KnownReturns
 from lidarcfg.returns.misses import FRESH_PLACES, SEARCH_PLACES, MissesFound
-from lidarcfg.search.points_first import STARTS, PointsFirst
-from lidarcfg.search.run import Believed, Budget, Compared, Log, Placement, SearchRun, TrialEvaluator
+from lidarcfg.search.log import Log
+from lidarcfg.search.run import Believed, Budget, Compared, Placement, SearchRun, TrialEvaluator
+from lidarcfg.search.seeded import STARTS, SeededSearch
 from lidarcfg.solvers.search import NO_COST, FixedPoint, Trials, cost_of, unbounded
 from lidarcfg.study.study import Study
 from lidarcfg.study.study_evaluator import StudyEvaluator
@@ -41,7 +42,7 @@ class MissesRun(SearchRun):
         points = np.full((1, int(study.free.sum())), 0.5) if log.points is None else log.points
         self._first_points = points
         self._given = points[: log.given]  # the rigs to start with
-        super().__init__(study, PointsFirst(study, points) if study.free.any() else FixedPoint(), log)
+        super().__init__(study, SeededSearch(study, points) if study.free.any() else FixedPoint(), log)
         self._restarts = 0
         self._cycles_before = 0  # of searches that were given up
         self.places = SEARCH_PLACES  # of each object, at which misses are counted
@@ -123,7 +124,7 @@ class MissesRun(SearchRun):
 
     def _best_plain(self) -> Array:
         """(s, dimensions) the best of the plain rigs that keep the constraints, by all that is known of them."""
-        if isinstance(self._search, PointsFirst) and not self._restarts:
+        if isinstance(self._search, SeededSearch) and not self._restarts:
             best = self._search.best_points
             self._plain = best[self.study.violation(self.study.poses(best)) == 0.0]
         return self._plain
@@ -135,7 +136,7 @@ class MissesRun(SearchRun):
         self._cycles_before = self.cycles
         every = np.concatenate([self.best_x[None], points])
         _, first = np.unique(every, axis=0, return_index=True)
-        self._search = PointsFirst(self.study, every[np.sort(first)], self._restarts)
+        self._search = SeededSearch(self.study, every[np.sort(first)], self._restarts)
         self.best_cost = cost_of(self._cost_of(evaluator, self.best_x[None])[0])
 
     def _cost_of(self, evaluator: TrialEvaluator, x: Array) -> Array:

@@ -7,12 +7,15 @@ import numpy as np
 from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
+from lidarcfg.geometry import Array
+from lidarcfg.search.log import Log
 from lidarcfg.search.misses_search import MissesRun
-from lidarcfg.search.points_first import PointsFirst
+from lidarcfg.search.plain_rigs import plain_points
 from lidarcfg.search.requirements_search import RequirementsRun
-from lidarcfg.search.run import Budget, Cycle, Log, Placement, SearchRun
-from lidarcfg.search.screen import first_points
-from lidarcfg.search.starts import points_of
+from lidarcfg.search.run import Budget, Cycle, Placement, SearchRun
+from lidarcfg.search.screening import Screening
+from lidarcfg.search.seeded import SeededSearch
+from lidarcfg.search.start_rigs import points_of
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.study import Study, load_study
 
@@ -67,7 +70,7 @@ def search_run(
     """A search that has not begun, or that replays a log; `plain` and `starts` as in optimize."""
     begins_plain = bool(study.requirements or study.objective.misses) if plain is None else plain
     if log is None:
-        points = [points_of(study, starts)] + ([first_points(study)] if begins_plain else [])
+        points = [points_of(study, starts)] + ([_plain_points(study)] if begins_plain else [])
         log = Log.empty(np.concatenate(points) if starts or begins_plain else None, len(starts))
     elif starts:
         raise ConfigError("a search that is resumed has begun: it takes no more rigs to start with")
@@ -76,8 +79,14 @@ def search_run(
     if study.objective.misses:
         _check_firing(study)
         return MissesRun(study, log)
-    first = study.solver.begin(study.coordinates) if log.points is None else PointsFirst(study, log.points)
+    first = study.solver.begin(study.coordinates) if log.points is None else SeededSearch(study, log.points)
     return SearchRun(study, first, log)
+
+
+def _plain_points(study: Study) -> Array:
+    """(n, free coordinates) the plain rigs; those that come closest to the requirements first."""
+    points = plain_points(study)
+    return Screening(study.requirements).ranked(study, points).points if study.requirements else points
 
 
 def _check_firing(study: Study) -> None:

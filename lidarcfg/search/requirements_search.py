@@ -13,167 +13,36 @@ with the first rig that is verified.
 """
 
 import math
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import TracebackType
 
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.kind import Judge
-from lidarcfg.requirements.shortfalls import Draws, Shortfalls
+from lidarcfg.requirements.allowed_rigs import AllowedRigs, SensorChoice
+from lidarcfg.requirements.judge import Judge
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
-from lidarcfg.returns.known import KnownReturns
-from lidarcfg.returns.misses import SEARCH_PLACES, SEED
-from lidarcfg.search.achievable import unachievable
+from lidarcfg.returns.misses import SEED
+from lidarcfg.search.log import Check, Log, Places, joined
 from lidarcfg.search.misses_search import DOUBLED_EVERY, MissesRun
-from lidarcfg.search.points_first import PointsFirst
-from lidarcfg.search.run import (
-    Budget,
-    Check,
-    Cycle,
-    Log,
-    Placement,
-    TrialEvaluator,
-    objective_costs,
-)
+from lidarcfg.search.requirements_evaluator import RequirementsEvaluator
+from lidarcfg.search.run import Budget, Cycle, Placement, TrialEvaluator
+from lidarcfg.search.seeded import SeededSearch
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.solvers.search import (
-    NO_COST,
-    Cost,
-    is_below,
-    order,
-    unbounded,
-)
+from lidarcfg.solvers.search import NO_COST, Cost, order
 from lidarcfg.study.evaluator import Index
 from lidarcfg.study.study import Study
-from lidarcfg.study.study_evaluator import StudyEvaluator
 
-Places = Mapping[int, Array]  # (n, 4) by the number of a requirement
-
-SHORTFALL_MOST = 1e5  # below INFEASIBLE
-LEAST = math.ulp(0.0)  # the least number above 0
-LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
-SLICE_MOST = 1000
 LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
 FIRST_LEFT = 0.1  # as long as it is not known how long that takes
 MANY = 0.05  # of the places of trials: a requirement that is missed at more is searched at drawn places, too
 DRAWN_FIRST = 256  # places
 DRAWN_MOST = 1024
 CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after one that is passed
-
-
-class RequirementsEvaluator:
-    """Evaluates poses (n, slots, 6) of a study's sensors; a context that owns its threads. As StudyEvaluator.
-
-    `more_places`: see Shortfalls.
-    """
-
-    smooths = False  # whether costs can be smoothed
-
-    def __init__(
-        self,
-        study: Study,
-        threads: int | None = None,
-        skip: bool = True,
-        on_evaluations: Callable[[int], None] | None = None,
-        more_places: Places | None = None,
-        places: int = SEARCH_PLACES,
-    ) -> None:
-        """Misses are counted at so many `places` of each object."""
-        assert study.requirements
-        self._threads = threads or os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(self._threads)
-        self._skip = skip
-        self._on_evaluations = on_evaluations
-        self._requirements = study.requirements
-        self._mounts = study.rig(study.lower).mounts
-        self._judge = Shortfalls(self._requirements, self._mounts, skip, more_places)
-        self._objective = None if study.only_required else StudyEvaluator(study, threads, skip, places=places)
-        self._seconds = 0.0
-        self.minimises = True  # what rigs that meet all are compared by; else all of them cost nothing
-        self.trials = 0  # evaluated, in full or until they were refuted
-
-    def __enter__(self) -> "RequirementsEvaluator":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
-        self._pool.shutdown(cancel_futures=True)
-        if self._objective:
-            self._objective.__exit__(kind, value, at)
-
-    def add_places(self, more_places: Places) -> None:
-        """Use these places, too, from now on; see Shortfalls. What is known of sensors is forgotten."""
-        self._judge = Shortfalls(self._requirements, self._mounts, self._skip, more_places)
-
-    @property
-    def known(self) -> KnownReturns | None:
-        """The returns at the places where misses are counted; None: they are not."""
-        return self._objective.known if self._objective else None
-
-    def count_at(self, places: int) -> None:
-        """Count misses at so many places of each object from now on."""
-        if self._objective:
-            self._objective.count_at(places)
-
-    @property
-    def slice(self) -> int:
-        """How many trials are evaluated between two looks at the clock, where there is a deadline."""
-        each_s = self._seconds / self.trials if self.trials else math.inf
-        return int(np.clip(LOOK_S / max(each_s, 1e-9), self._threads if self.trials else 1, SLICE_MOST))
-
-    @property
-    def full_evaluations(self) -> int:
-        """The number of rigs whose objective was evaluated in full."""
-        return self._objective.full_evaluations if self._objective else 0
-
-    @property
-    def cuboids(self) -> int:
-        """The number of cuboids evaluated."""
-        return self._objective.cuboids if self._objective else 0
-
-    @property
-    def segments(self) -> int:
-        """The number of segments cast from LiDARs to cuboids, at most."""
-        return self._objective.segments if self._objective else 0
-
-    def costs(
-        self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
-    ) -> Array:
-        """(n, 2) the costs, or (inf, inf) where one is not below `upper_bound` (n, 2). See Evaluator.costs."""
-        began = time.perf_counter()
-        limits = upper_bound if self._skip else unbounded(len(poses))
-        rigs = self._judge.rigs(poses)
-        run = map if self._threads == 1 else self._pool.map
-        cost = np.array(list(run(self._cost, rigs, limits.tolist()))).reshape(-1, 2)
-        if self._objective and self.minimises:
-            met = np.flatnonzero(cost[:, 0] == 0)
-            if len(met):
-                cost[met] = objective_costs(self._objective, poses[met], source[met], source_poses, limits[met])
-        self._judge.learn()
-        self.trials += len(poses)
-        self._seconds += time.perf_counter() - began
-        if self._on_evaluations:
-            self._on_evaluations(self.trials)
-        return np.where(is_below(cost, limits)[:, None], cost, np.inf)
-
-    def shortfalls(self, poses: Array) -> tuple[float, ...]:
-        """Of one rig's poses (slots, 6), for each requirement in turn."""
-        return self._judge.shortfalls(self._judge.rigs(poses[None])[0])
-
-    def _cost(self, rig: Draws, limit: tuple[float, float]) -> Cost:
-        """The cost of a rig by its shortfall; (0, 0) if it meets all."""
-        limit_shortfall, _ = limit
-        shortfall = self._judge.shortfall(rig, max(limit_shortfall, LEAST))
-        if shortfall > 0:
-            return Cost(min(shortfall, SHORTFALL_MOST) if math.isfinite(shortfall) else math.inf, math.inf)
-        return Cost(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -195,11 +64,8 @@ class Verified:
 class RequirementsRun(MissesRun):
     """A search for a rig that meets requirements; see SearchRun."""
 
-    def __init__(self, study: Study, log: Log, places: Places | None = None, verifier: Verifier | None = None) -> None:
-        """It begins with the points of the log, or without any with the midpoint.
-
-        `places`: those that count from the beginning, besides the requirements' own. `verifier`: one to share.
-        """
+    def __init__(self, study: Study, log: Log, verifier: Verifier | None = None) -> None:
+        """It begins with the points of the log, or without any with the midpoint. `verifier`: one to share."""
         assert study.requirements
         super().__init__(study, log)
         self._candidates = self._first_points
@@ -208,7 +74,7 @@ class RequirementsRun(MissesRun):
         self._recorded = {check.told: check for check in log.checks}
         self._checks: list[Check] = []
         self._verify_s = 0.0  # the longest time that it took
-        self._more_places = dict(places or {})
+        self._more_places = log.start_places
         self._minimises = False  # what rigs that meet all are compared by, besides; not before one is verified
         self._next_check = 0  # evaluations
         self._next_draw = DOUBLED_EVERY * len(self.best_x)
@@ -235,11 +101,6 @@ class RequirementsRun(MissesRun):
     def more_places(self) -> Places:
         """By requirement, the places (n, 4) that count besides its own."""
         return self._more_places
-
-    @property
-    def has_checked(self) -> bool:
-        """Whether any rig was verified, or found to fail where trials do not look."""
-        return bool(self._checks)
 
     def log(self) -> Log:
         """All costs told so far, and what was verified."""
@@ -312,7 +173,9 @@ class RequirementsRun(MissesRun):
         draws = not self._meets and self.evaluations >= self._next_draw
         if draws:
             self._next_draw = self.evaluations + DOUBLED_EVERY * len(self.best_x)
-        check = self._recorded.get(self._count)
+        check = self._recorded.get(self._count + self._cut_short) or self._recorded.get(self._count)
+        if check and check.passed and check.told != self._count + self._cut_short:
+            check = None
         if check is None and not self.is_replaying:
             check = self._checked() if self._is_due(budget) else self._drawn() if draws else None
         if check:
@@ -331,7 +194,7 @@ class RequirementsRun(MissesRun):
             return False
         if not self._minimises:
             return True
-        if isinstance(self._search, PointsFirst) and self._search.tries_points:
+        if isinstance(self._search, SeededSearch) and self._search.tries_points:
             return False
         return self.evaluations >= self._next_check and self._has_time(budget)
 
@@ -364,7 +227,10 @@ class RequirementsRun(MissesRun):
         if missed := next(filter(None, map(self._first, looks)), None):
             return Check(self._count, False, missed)
         found = self.verdict_on(self.best_x)
-        return Check(self._count, found.passed, {} if found.passed else self._failing(found))
+        if not found.passed:
+            return Check(self._count, False, self._failing(found))
+        # A search that is resumed asks for all of a batch that was cut short, never has so many costs, and looks anew.
+        return Check(self._count + self._cut_short, True, {})
 
     def _mounts(self, x: Array) -> Sequence[Mount]:
         """Those of the rig at a point."""
@@ -387,11 +253,9 @@ class RequirementsRun(MissesRun):
             return
         self._interval = CHECK_EVERY
         self._next_check = self.evaluations
-        for number, places in check.places.items():
-            if check.drawn:
-                self._draws[number] = self._draws.get(number, 0) + len(places)
-            known = self._more_places.get(number)
-            self._more_places[number] = places if known is None else np.concatenate([known, places])
+        self._more_places = joined(self._more_places, check.places)
+        for number, places in check.places.items() if check.drawn else ():
+            self._draws[number] = self._draws.get(number, 0) + len(places)
         self._restart(evaluator)
         if self._meets and not self._minimises:  # trials cannot tell why it fails: others that meet all may pass
             self._minimises = True
@@ -402,10 +266,10 @@ class RequirementsRun(MissesRun):
         evaluator.add_places(self._more_places)
         evaluator.minimises = self._minimises
         points = self._candidates
-        if isinstance(self._search, PointsFirst) and len(self._search.costs) == len(points):
+        if isinstance(self._search, SeededSearch) and len(self._search.costs) == len(points):
             points = points[order(self._search.costs)]
         self._start_anew(evaluator, points)
-        self._candidates = self._search.points if isinstance(self._search, PointsFirst) else points
+        self._candidates = self._search.points if isinstance(self._search, SeededSearch) else points
 
     def _start_anew(self, evaluator: TrialEvaluator, points: Array) -> None:
         """As MissesRun, also from the best rig that was verified."""
@@ -477,3 +341,20 @@ class RequirementsRun(MissesRun):
             objective = self.study.cost(self.study.poses(self.best_x[None])[0])
         believed = found.believed if self._minimises else None
         return replace(found, objective=objective, believed=believed, remarks=tuple(remarks))
+
+
+def unachievable(study: Study) -> dict[str, str]:
+    """Why no rig within a study's bounds can meet a requirement, by name, for the requirements where that is certain.
+
+    Out of range, too many returns, too dear. Others may be out of reach all the same, for example out of sight, of
+    which some places within the bounds prove nothing.
+    """
+    if study.requirements is None:
+        return {}
+    sensors = []
+    for slot, mount in zip(study.slots, study.rig(study.lower).mounts, strict=True):
+        some = [replace(mount, sensor=one.sensor, model=one.model) for one in slot.choices if one] or [mount]
+        sensors.append(SensorChoice(some, None in slot.choices))
+    rigs = AllowedRigs(sensors, study.requirements.site.bounds)
+    found = {item.name: item.out_of_reach(rigs) for item in study.requirements.items}
+    return {name: why for name, why in found.items() if why}

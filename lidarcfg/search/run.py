@@ -2,9 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.returns.known import KnownReturns
 from lidarcfg.returns.misses import MissesFound
+from lidarcfg.search.log import Log
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.solvers.search import (
     NO_COST,
@@ -46,32 +47,6 @@ class Cycle:
     best: float  # objective, or shortfall of a rig that has one
     mean: float
     seconds: float
-
-
-@dataclass(frozen=True)
-class Check:
-    """What verifying the best rig of a search found, or drawing places, once so many costs had been told."""
-
-    told: int
-    passed: bool
-    places: Mapping[int, Array]  # by requirement, those (n, 4) that count from then on
-    drawn: bool = False  # whether they were drawn, not verified; else the rig failed there
-
-
-@dataclass(frozen=True)
-class Log:
-    """The costs that a search was told, and what else it went by: everything needed to resume it."""
-
-    cost: Array  # (told, 2) in the order of asking
-    seconds: float  # spent so far
-    points: Array | None = None  # (n, free coordinates) those that it began with, if any
-    given: int = 0  # how many of these, the first, are rigs that were given to start with
-    checks: tuple[Check, ...] = ()
-
-    @classmethod
-    def empty(cls, points: Array | None = None, given: int = 0) -> "Log":
-        """The log of a search that has not begun; `points` are to be its first trials."""
-        return cls(np.empty((0, 2)), 0.0, points, given)
 
 
 @dataclass(frozen=True)
@@ -222,12 +197,14 @@ class SearchRun:
 
     def __init__(self, study: Study, search: Search, log: Log | None = None) -> None:
         log = log or Log.empty()
+        if log.points is not None and log.points.shape[1] != study.free.sum():
+            raise ConfigError(f"{study.name}: its log is that of another study")
         self.study = study
         self._search = search
+        self._log = log  # that it begins with
         self._replay = log.cost
-        self._points = log.points
-        self._given_count = log.given
         self._told = [log.cost]
+        self._cut_short = 0  # costs of a batch that a budget cut short, which are not told
         self._spent = log.seconds  # before this part
         self._since = math.inf  # when it began
         self._smooths = False  # whether its evaluator smooths the costs of trials that ask for it
@@ -263,7 +240,7 @@ class SearchRun:
 
     def log(self) -> Log:
         """All costs told so far."""
-        return Log(np.concatenate(self._told), self.seconds, self._points, self._given_count)
+        return replace(self._log, cost=np.concatenate(self._told), seconds=self.seconds)
 
     @contextmanager
     def evaluator(
@@ -327,6 +304,7 @@ class SearchRun:
     def costs(self, trials: Trials, evaluator: TrialEvaluator, budget: Budget) -> Array:
         """(n, 2) the costs of the rigs at trials, those of the log first; fewer if a budget cuts the batch short."""
         count = len(trials.x)
+        self._cut_short = 0
         if len(self._replay) >= count:
             cost = self._replay[:count]
             self._replay = self._replay[count:]
@@ -338,6 +316,8 @@ class SearchRun:
         cost = self._evaluated(trials, evaluator, left, budget.deadline)
         if len(cost) == count:
             self._told.append(cost)
+        else:
+            self._cut_short = len(cost)
         return cost
 
     def _evaluated(self, trials: Trials, evaluator: TrialEvaluator, count: int, deadline: float) -> Array:

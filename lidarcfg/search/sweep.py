@@ -1,19 +1,19 @@
 """A sweep: the cases of a plan on many workers, each a search of one thread."""
 
 import math
-import pickle
 import time
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.requirements.verdict import Verdict
+from lidarcfg.search.chooser import choose
 from lidarcfg.search.optimize import optimize
-from lidarcfg.search.plan import Plan, SweepCase, versions
 from lidarcfg.search.run import Placement
-from lidarcfg.search.workers import ATTEMPTS, Workers, check_versions, distribute
+from lidarcfg.search.sweep_plan import SweepCase, SweepPlan
+from lidarcfg.search.workers import ATTEMPTS, Job, Workers
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.solvers.solver import Solver
 from lidarcfg.study.file import StudyFile
@@ -24,33 +24,35 @@ TRIALS = 300  # evaluations by which the time of a search is estimated, or
 TRIAL_S = 3.0  # seconds
 
 
-@dataclass(frozen=True)
-class RunResult:
-    """What a run found, or why it found nothing."""
+Figures = dict[str, float | int | None]  # by the name of the table's column
 
-    found: dict[str, float | int | None]  # figures by name
+
+@dataclass(frozen=True)
+class CaseResult:
+    """What the search of a case found, or why it found nothing."""
+
+    figures: Figures
     rig: Rig | None  # None: there is none
     seconds: float
     error: str = ""  # why there is no rig
     lasting: bool = True  # whether another attempt would end the same way
 
 
-def work(content: bytes, theirs: dict[str, str]) -> RunResult:
-    """Run the search of a pickled study in a worker. Raises ConfigError if `theirs` are not the worker's versions."""
-    check_versions(theirs, "the command")
+def case_result(study: Study) -> CaseResult:
+    """Search a case; a worker may do it."""
     started = time.perf_counter()
     try:
-        placement = optimize(pickle.loads(content), threads=1)
+        placement = optimize(study, threads=1)
     except LidarcfgError as error:
-        return RunResult({}, None, time.perf_counter() - started, str(error))
-    except Exception as error:  # one run's, and the others go on
+        return CaseResult({}, None, time.perf_counter() - started, str(error))
+    except Exception as error:  # one case's, and the others go on
         last = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
-        return RunResult({}, None, time.perf_counter() - started, what, lasting=False)
-    return RunResult(figures(placement), placement.rig, time.perf_counter() - started)
+        return CaseResult({}, None, time.perf_counter() - started, what, lasting=False)
+    return CaseResult(figures(placement), placement.rig, time.perf_counter() - started)
 
 
-def figures(found: Placement) -> dict[str, float | int | None]:
+def figures(found: Placement) -> Figures:
     """The figures of a search, by the names of the table's columns."""
     evaluation = found.evaluation
     volume = evaluation.seen_by_m3
@@ -65,7 +67,7 @@ def figures(found: Placement) -> dict[str, float | int | None]:
     }
 
 
-def _verdict_figures(found: Verdict | None) -> dict[str, float | int | None]:
+def _verdict_figures(found: Verdict | None) -> Figures:
     """Whether all requirements are met, and the margin of each; 1: they are."""
     if found is None:
         return {}
@@ -73,20 +75,32 @@ def _verdict_figures(found: Verdict | None) -> dict[str, float | int | None]:
     return {"pass": int(found.passed), **margins}
 
 
+@dataclass(frozen=True)
+class Sweep:
+    """The policy of a sweep: one round, in which each case has its only turn. `done` is called after each."""
+
+    plan: SweepPlan
+    cases: Iterable[SweepCase]
+    done: Callable[[SweepCase, CaseResult], None]
+
+    def rounds(self) -> Iterator[Iterator[Job[SweepCase]]]:
+        """The searches, each with its study, so that a worker reads no files."""
+        yield (Job(case, case_result, (self.plan.studies.of(case.file),)) for case in self.cases)
+
+    def take(self, key: SweepCase, found: CaseResult | None) -> bool:
+        """Hand on what a search found."""
+        self.done(key, found or CaseResult({}, None, 0.0, f"{KILLED}; out of memory?", lasting=False))
+        return False
+
+
 def sweep(
-    plan: Plan, runs: Iterable[SweepCase], workers: Workers, done: Callable[[SweepCase, RunResult], None]
+    plan: SweepPlan, cases: Iterable[SweepCase], workers: Workers, done: Callable[[SweepCase, CaseResult], None]
 ) -> None:
-    """Do some runs of a plan; `done` is called after each, in the order in which they end.
+    """Search some cases of a plan; `done` is called after each, in the order in which they end.
 
-    A run whose worker was killed is repeated. Raises ConfigError if the workers are gone, or run other versions.
+    A search whose worker was killed is repeated. Raises ConfigError if the workers are gone, or run other versions.
     """
-
-    def ended(run: SweepCase, outcome: RunResult | None) -> None:
-        done(run, outcome or RunResult({}, None, 0.0, f"{KILLED}; out of memory?", lasting=False))
-
-    # Each with its pickled study, so that the worker reads no files.
-    jobs = ((run, (work, pickle.dumps(plan.studies.of(run.file)), versions())) for run in runs)
-    distribute(jobs, workers, ended)
+    choose(Sweep(plan, cases, done), workers)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
-"""Workers that do jobs: processes of this machine, or a Dask cluster. Both are executors of `concurrent.futures`."""
+"""Workers that do jobs: this process, others of this machine, or a Dask cluster; executors of `concurrent.futures`."""
 
 import logging
 import multiprocessing
 import os
+import pickle
 import re
 import signal
 import threading
@@ -10,10 +11,13 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass
+from importlib.metadata import version
+from platform import python_version_tuple
+from typing import Any, Generic, Protocol, TypeVar
 
+import lidarcfg
 from lidarcfg.errors import ConfigError, LidarcfgError
-from lidarcfg.search.plan import versions
 
 ADDRESS = re.compile(r"(tcp|tls)://[^\s/]+:\d{1,5}")
 CONNECT_S = 5.0  # for a scheduler to answer
@@ -22,7 +26,16 @@ AHEAD = 2  # jobs that a cluster is given for each of its threads
 ATTEMPTS = 5  # of a job whose workers are killed
 LOOK_S = 2.0  # between two checks of the workers
 
-T = TypeVar("T")
+K = TypeVar("K")
+
+
+@dataclass(frozen=True)
+class Job(Generic[K]):
+    """A call of a module's function, for a worker to make."""
+
+    key: K  # what it is for
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
 
 
 class Workers(Protocol):
@@ -43,6 +56,21 @@ class Workers(Protocol):
         """Stop the jobs in progress and release the workers."""
 
 
+class ThisProcess:
+    """The process that asks, which does each job at once; so what a job raises is raised where it is submitted."""
+
+    count = capacity = 1
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
+        """Call a function."""
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments))
+        return future
+
+    def close(self) -> None:
+        """Nothing is in progress."""
+
+
 class Processes:
     """Processes on this machine. They end with this process, however it ends; a killed one is replaced."""
 
@@ -58,7 +86,7 @@ class Processes:
     def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
         """Call a function in a process. The future raises BrokenExecutor if the process ends before it returns."""
         idle = (process for process in self._processes if process.is_idle)
-        return next(idle, self._processes[0]).submit(function, *arguments)
+        return next(idle, self._processes[0]).submit(_call, versions(), pickle.dumps((function, arguments)))
 
     def close(self) -> None:
         """Kill the processes."""
@@ -185,7 +213,8 @@ class Cluster:
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
         """Call a function on a worker; if that one dies, on another."""
-        future: Future[Any] = self._executor.submit(function, *arguments)
+        content = pickle.dumps((function, arguments))
+        future: Future[Any] = self._executor.submit(_call, versions(), content)
         return future
 
     def close(self) -> None:
@@ -205,6 +234,12 @@ class Cluster:
         return ConfigError(f"scheduler {self._address}: {what}")
 
 
+def versions() -> dict[str, str]:
+    """The versions of everything that a result depends on, to the last bit."""
+    packages = {name: version(name) for name in ("numpy", "scipy", "cma")}
+    return {"lidarcfg": lidarcfg.__version__, "Python": ".".join(python_version_tuple()[:2]), **packages}
+
+
 def check_versions(theirs: dict[str, str], who: str) -> None:
     """Raises ConfigError where a worker's versions are not those of this program."""
     for name, ours in versions().items():
@@ -212,33 +247,41 @@ def check_versions(theirs: dict[str, str], who: str) -> None:
             raise ConfigError(f"{who} has {name} {theirs.get(name)}, and this program {ours}; both must be the same")
 
 
-def distribute(
-    jobs: Iterable[tuple[T, tuple[Any, ...]]], workers: Workers, done: Callable[[T, Any | None], object]
-) -> None:
-    """Have workers call functions: each job is a key, and a function with its arguments.
+def _call(theirs: dict[str, str], content: bytes) -> Any:
+    """Make a pickled call in a worker. Raises ConfigError if `theirs` are not the worker's versions."""
+    check_versions(theirs, "the command")
+    function, arguments = pickle.loads(content)
+    return function(*arguments)
 
-    `done` is told each key with what the function returned, or None if its worker was killed ATTEMPTS times; where it
-    returns True, no more jobs are begun. Raises ConfigError if the workers are gone, or run other versions.
+
+def distribute(jobs: Iterable[Job[K]], workers: Workers, done: Callable[[K, Any | None], object]) -> None:
+    """Have workers do jobs, which are made one after the other, while the workers work.
+
+    `done` is told the key of each with what its function returned, or None if its worker was killed ATTEMPTS times;
+    where it returns True, no more jobs are begun. Raises ConfigError if the workers are gone, or run other versions.
     """
     left = iter(jobs)
-    pending: dict[Future[Any], tuple[T, tuple[Any, ...], int]] = {}
-    following = next(left, None)
+    following: Job[K] | None = None
+    pending: dict[Future[Any], tuple[Job[K], int]] = {}
     stopped = False
-    while (following and not stopped) or pending:
-        while following and not stopped and len(pending) < workers.capacity:
-            key, call = following
-            pending[workers.submit(*call)] = key, call, 0
-            following = next(left, None)  # while the workers work
+    while True:
+        while not stopped and len(pending) < workers.capacity and (following := following or next(left, None)):
+            pending[workers.submit(following.function, *following.arguments)] = following, 0
+            following = None
+        if not pending:
+            return
+        if not (stopped or following or any(future.done() for future in pending)):
+            following = next(left, None)
         finished, _ = wait(pending, LOOK_S, FIRST_COMPLETED)
         for future in finished:
-            key, call, attempts = pending.pop(future)
+            job, attempts = pending.pop(future)
             found = _result(future)
             if found is None:
                 attempts += workers.count > 0  # raises if they are gone
                 if attempts < ATTEMPTS:
-                    pending[workers.submit(*call)] = key, call, attempts
+                    pending[workers.submit(job.function, *job.arguments)] = job, attempts
                     continue
-            stopped = done(key, found) is True or stopped
+            stopped = done(job.key, found) is True or stopped
 
 
 def _result(future: "Future[Any]") -> Any | None:

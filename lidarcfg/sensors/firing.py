@@ -5,7 +5,7 @@ each maker is a `Timing`; `schedule` has those of sensors that fire in sequences
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -57,6 +57,11 @@ class Firings:
         return Firings(self.time_ns[rows], self.laser[rows], self.encoder_rad[rows], elevation_rad)
 
 
+def spans(packets: int, chunk: int) -> list[range]:
+    """The numbers of this many packets, `chunk` at a time."""
+    return [range(first, min(first + chunk, packets)) for first in range(0, packets, chunk)]
+
+
 def joined(parts: Sequence[Firings]) -> Firings:
     """Firings of one sensor, one after the other."""
     if not parts:
@@ -73,11 +78,7 @@ class FiringBatch:
     number: Times  # (P,) as the maker counts packets
     sent_ns: Times  # (P,) host time at which each leaves
     loop: Times | None = None  # (P, G) in which of its loops each group of lasers fired, where a sensor has several
-
-    @property
-    def first(self) -> int:
-        """The number of its first packet; 0 without any."""
-        return int(self.number[0]) if len(self.number) else 0
+    first: int = 0  # the number of its first packet among those sent
 
 
 @dataclass(frozen=True)
@@ -191,8 +192,11 @@ class Timing(Protocol):
     def pace(self, mount: Mount) -> PacketPace:
         """The packet rate and size of the mount."""
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        """The firings in the time of this many packets, `chunk` packets at a time; fewer in a narrow field of view."""
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        """The firings in the time of successive packets: a batch for each span of their numbers, from 0 on.
+
+        In a narrow field of view a batch has fewer packets.
+        """
 
     def pattern(self, mount: Mount) -> Pattern | FramePattern:
         """Where the mount's lasers fire in a revolution, or in a frame: as in `schedule`, for any start."""

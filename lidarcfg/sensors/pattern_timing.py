@@ -1,6 +1,6 @@
 """When the channels of a sensor with a scan pattern fire."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -21,14 +21,13 @@ class PatternTiming(Timing):
         pattern = mount.sensor.pattern
         return PacketPace(max(pattern.period_ns // len(pattern.time_ns), 1), 1)
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
         """The firings of equal times; the pattern begins at `start_ns`."""
         pattern = mount.sensor.pattern
         period_ns = self.pace(mount).period_ns
-        for first in range(0, packets, chunk):
-            end = min(first + chunk, packets)
-            number = np.arange(first, end)
-            counts = (pattern.count_before(first * period_ns), pattern.count_before(end * period_ns))
+        for numbers in spans:
+            number = np.array(numbers)
+            counts = (pattern.count_before(at * period_ns) for at in (numbers.start, numbers.stop))
             fired = firings(pattern, start_ns, *counts)
             yield FiringBatch(fired[in_view(mount, fired.encoder_rad)], number, start_ns + (number + 1) * period_ns)
 

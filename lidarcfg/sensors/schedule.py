@@ -1,7 +1,7 @@
 """Firing schedules of sensors whose lasers fire in sequences, on the sensor's own clock, while the head turns."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol
@@ -65,8 +65,8 @@ class SequenceTiming(Timing, Protocol):
         schedule = self.firing_schedule(mount)
         return PacketPace(schedule.period_ns, schedule.offsets_ns.size)
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        return batches(self.firing_schedule(mount), mount, start_ns, packets, chunk)
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        return batches(self.firing_schedule(mount), mount, start_ns, spans)
 
     def pattern(self, mount: Mount) -> Pattern:
         return pattern(self.firing_schedule(mount), mount)
@@ -141,8 +141,8 @@ def revolutions(rpm: float, period_ns: int, start_ns: int, packets: range, phase
     return np.array(turned, np.float64) + ahead
 
 
-def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-    """The firings in the time of this many packets, `chunk` packets at a time.
+def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+    """The firings in the time of successive packets, a batch for each span of their numbers.
 
     With a field of view, only the sequences whose azimuth is within it are fired. Packets are filled with them across
     the gap, as in a recording of a VLP-32C; firings that do not fill a packet are not sent.
@@ -150,8 +150,7 @@ def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, packets: int,
     lasers = len(schedule.offset_ns)
     rest = firings(schedule, mount.rpm, start_ns, range(0))
     sent = 0
-    for first in range(0, packets, chunk):
-        numbers = range(first, min(first + chunk, packets))
+    for numbers in spans:
         fired = firings(schedule, mount.rpm, start_ns, numbers, mount.phase_deg)
         if mount.azimuth_fov_deg is not None:
             low, high = mount.azimuth_fov_deg
@@ -162,5 +161,5 @@ def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, packets: int,
             rest = fired[full:]
             fired = fired[:full]
         _, ends_ns = schedule.stamps_ns(fired)
-        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000)
+        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000, first=sent)
         sent += len(ends_ns)

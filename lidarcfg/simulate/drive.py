@@ -1,67 +1,225 @@
-"""A drive, assembled from a rig, a scene, a motion and a vehicle, or from their files."""
+"""A rig that stands or drives: when its lasers fire, and where their beams start and point. It knows no scene.
 
+Whoever has one casts the rays of `Drive.firings`, and gives what they hit to `lidarcfg.capture.writer`.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count, pairwise
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.config.models import Given
+from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.files import loaded
-from lidarcfg.geometry import Array
-from lidarcfg.sensors.rig import ReturnMode, Rig, load_rig
-from lidarcfg.units import SECOND_NS, START_NS
+from lidarcfg.geometry import Array, Bytes, Times
+from lidarcfg.packets.families import timing
+from lidarcfg.sensors.firing import FiringBatch, Timing, spans
+from lidarcfg.sensors.rig import Mount, Rig, load_rig
+from lidarcfg.sensors.sensor import Range
+from lidarcfg.simulate.aim import aim
+from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
+from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory, load_path
-from lidarcfg.world.scene import Scene, load_scene
-from lidarcfg.world.vehicle import Vehicle, resolve_vehicle
+
+ANYWHERE = GeoOrigin()
+STEP_S = 0.1
+SKIPPED = 4096  # packets that are left out at a time
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A rig on a vehicle that stands or drives in a scene, for a while."""
+class SensorTimeline:
+    """When the lasers of one of a rig's sensors fire, from its start on."""
 
-    rig: Rig
-    scene: Scene
-    trajectory: Trajectory
-    vehicle: Vehicle | None
+    index: int  # of the sensor in the rig
+    mount: Mount
+    timing: Timing
     start_ns: int
-    duration_ns: int
 
-    @classmethod
-    def load(
-        cls,
+    def packets(self, after_ns: int) -> int:
+        """The number of packets that are complete so long after the start."""
+        return max(after_ns, 0) // self.timing.pace(self.mount).period_ns
+
+    def fired(self, packets: Iterable[range]) -> Iterator["FiredPackets"]:
+        """The firings of successive spans of packets."""
+        first = 0
+        for batch in self.timing.schedule(self.mount, self.start_ns, packets):
+            yield FiredPackets(self, batch, first)
+            first += len(batch.firings.time_ns)
+
+
+@dataclass(frozen=True)
+class FiredPackets:
+    """The firings of successive packets of one sensor."""
+
+    sensor: SensorTimeline
+    batch: FiringBatch
+    first: int  # the number of the first firing, by which random numbers are drawn
+
+
+def timelines(rig: Rig, start_ns: int) -> list[SensorTimeline]:
+    """The sensors of a rig: sensor i of n starts i/n of a packet after the first. Raises ConfigError."""
+    mounts = [_with_range(mount) for mount in rig.mounts]
+    timings = [checked_timing(mount) for mount in mounts]
+    return [
+        SensorTimeline(i, mount, one, start_ns + i * one.pace(mount).period_ns // len(mounts))
+        for i, (mount, one) in enumerate(zip(mounts, timings, strict=True))
+    ]
+
+
+def _with_range(mount: Mount) -> Mount:
+    """The mount; if its sensor's range is not known, with the range given by the rig."""
+    if mount.sensor.range or not mount.range_m:
+        return mount
+    known = Range(source="the rig", min_m=mount.range_m[0], max_m=mount.range_m[1])
+    return replace(mount, sensor=mount.sensor.model_copy(update={"range": known}))
+
+
+def checked_timing(mount: Mount) -> Timing:
+    """When the mount's lasers fire. Raises ConfigError unless the sensor can be simulated."""
+    sensor = mount.sensor
+    try:
+        found = timing(sensor)
+        found.check(mount)
+    except ConfigError as error:
+        raise error.of(mount.name) from None
+    if sensor.range is None:
+        what = f"sensor {sensor.name!r} has no range; add range: {{max_m: ...}} to its file, or range_m to the rig"
+        raise ConfigError(f"{mount.name}: {what}")
+    return found
+
+
+def trajectory_of(at: Array | Trajectory | None, path: str | Path | None, start_ns: int) -> Trajectory:
+    """The trajectory of a vehicle that starts at T_world_vehicle (4, 4), by default the origin, and follows a file."""
+    if isinstance(at, Trajectory):
+        return at
+    return Trajectory(np.eye(4) if at is None else at, load_path(path), start_ns)
+
+
+@dataclass(frozen=True)
+class RayBatch:
+    """N firings of a rig's sensors as rays: sensor by sensor, of each in the order of its packets."""
+
+    origins_m: Array  # (N, 3)
+    directions: Array  # (N, 3) unit vectors
+    time_ns: Times  # (N,) when each is fired
+    sensor: NDArray[np.uint16]  # (N,) its number in the rig
+    channel: Bytes  # (N,) of the sensor, from 0
+    column: Times  # (N,) how often this channel has fired before
+    start_s: float  # since the drive's start
+    end_s: float  # all packets that are complete by then are in this batch or in one before
+    packets: tuple[FiredPackets, ...]  # of each sensor, for the writer
+
+
+class Drive:
+    """The firings of a rig that stands at `at`, or moves along a trajectory. Raises LidarcfgError.
+
+    `rig` is a file, a dict with its keys or a `Rig`; `at` is T_world_vehicle (4, 4), by default the origin;
+    `trajectory` a file of the motion from there, or a `Trajectory`. The clock begins at `start_ns`.
+    `origin` is the world's on Earth, for sensors that report where they are.
+    """
+
+    def __init__(
+        self,
         rig: Rig | Given,
-        scene: Scene | Given,
-        duration_s: float,
+        trajectory: str | Path | Trajectory | None = None,
         *,
-        at: Array | Trajectory | None = None,
-        trajectory: str | Path | None = None,
-        vehicle: Path | None = None,
+        at: Array | None = None,
         start_ns: int = START_NS,
-        return_mode: ReturnMode | None = None,
-    ) -> "Drive":
-        """The drive of a rig in a scene, of files or of what is loaded from them.
+        origin: GeoOrigin = ANYWHERE,
+    ) -> None:
+        self.rig = loaded(rig, load_rig, Rig)
+        if not isinstance(trajectory, Trajectory):
+            trajectory = trajectory_of(at, trajectory, start_ns)
+        elif at is not None:
+            raise LidarcfgError("at is given beside a trajectory that says where it starts; allowed: one of them")
+        self.trajectory = trajectory
+        self.start_ns = start_ns
+        self.origin = origin
+        self.sensors = tuple(timelines(self.rig, start_ns))
 
-        The vehicle starts at `at`, T_world_vehicle (4, 4), by default the origin, and moves as the file `trajectory`
-        says; or `at` is its trajectory. It is that in the file `vehicle`, or the rig's, or none if that says `none`.
-        `return_mode` is for all sensors, instead of the rig's. Raises LidarcfgError.
+    def firings(
+        self,
+        start_s: float = 0.0,
+        end_s: float = math.inf,
+        step_s: float = STEP_S,
+        frame: Literal["world", "vehicle"] = "world",
+    ) -> Iterator[RayBatch]:
+        """The firings of all packets that are complete within a time, a batch for each step; endless without an end.
+
+        Rays are in the frame of the world, from where the vehicle is at each firing; or in the vehicle's.
+        Raises LidarcfgError for times that are none, and outside timed poses.
         """
-        mounted = loaded(rig, load_rig, Rig)
-        if return_mode:
-            mounts = tuple(replace(mount, return_mode=return_mode) for mount in mounted.mounts)
-            mounted = replace(mounted, mounts=mounts)
-        moved = at
-        if not isinstance(moved, Trajectory):
-            moved = Trajectory(np.eye(4) if moved is None else moved, load_path(trajectory), start_ns)
-        return cls(
-            mounted,
-            loaded(scene, load_scene, Scene),
-            moved,
-            resolve_vehicle(mounted, vehicle),
-            start_ns,
-            round(duration_s * SECOND_NS),
-        )
+        _check_times(start_s, end_s, step_s)
+        if frame not in ("world", "vehicle"):
+            raise LidarcfgError(f"frame is {frame!r}; allowed: world, vehicle")
+        trajectory = self.trajectory if frame == "world" else Trajectory.static(np.eye(4))
+        streams = [_stream(sensor, start_s, end_s, step_s) for sensor in self.sensors]
+        for (begin_s, until_s), *parts in zip(pairwise(_edges_s(start_s, end_s, step_s)), *streams, strict=False):
+            yield _rays(parts, trajectory, begin_s, until_s)
 
 
-def object_names(scene: Scene, vehicle: Vehicle | None) -> tuple[str, ...]:
-    """The names of the objects in the ground truth: the scene's, then the vehicle's with `vehicle/` in front."""
-    return scene.names + (tuple(f"vehicle/{name}" for name in vehicle.scene.names) if vehicle else ())
+def _check_times(start_s: float, end_s: float, step_s: float) -> None:
+    last_s = TIME_END_NS / SECOND_NS
+    if not (0 <= start_s <= last_s and start_s <= end_s):
+        raise LidarcfgError(f"firings from {start_s} to {end_s} s; allowed: from 0 on, to a later time")
+    if not 1e-6 <= step_s <= last_s:
+        raise LidarcfgError(f"step_s is {step_s}; allowed: from 1e-06 s on")
+
+
+def _edges_s(start_s: float, end_s: float, step_s: float) -> Iterator[float]:
+    """The start, the end and the times between them, a step apart."""
+    for n in count():
+        at_s = start_s + n * step_s
+        if at_s >= end_s:
+            break
+        yield at_s
+    yield end_s
+
+
+def _stream(
+    sensor: SensorTimeline, start_s: float, end_s: float, step_s: float
+) -> Iterator[tuple[FiredPackets, Times]]:
+    """The firings of a sensor in each step, and (N,) how often the channel of each has fired before."""
+    counts = (sensor.packets(round(at_s * SECOND_NS)) for at_s in _edges_s(start_s, end_s, step_s))
+    before = spans(sensor.packets(round(start_s * SECOND_NS)), SKIPPED)
+    steps = (range(first, end) for first, end in pairwise(counts))
+    fired_before = np.zeros(sensor.mount.sensor.count, np.int64)
+    for number, fired in enumerate(sensor.fired(chain(before, steps))):
+        columns = _columns(fired.batch.firings.laser, fired_before)
+        if number >= len(before):
+            yield fired, columns
+
+
+def _rays(
+    parts: Sequence[tuple[FiredPackets, Times]], trajectory: Trajectory, begin_s: float, until_s: float
+) -> RayBatch:
+    packets, columns = zip(*parts, strict=True)
+    firings = [part.batch.firings for part in packets]
+    axes = [aim(part.sensor.mount, trajectory, some) for part, some in zip(packets, firings, strict=True)]
+    return RayBatch(
+        origins_m=np.concatenate([origins_m for origins_m, _ in axes]),
+        directions=np.concatenate([directions for _, directions in axes]),
+        time_ns=np.concatenate([one.time_ns for one in firings]),
+        sensor=np.repeat(np.arange(len(packets), dtype=np.uint16), [len(one.time_ns) for one in firings]),
+        channel=np.concatenate([one.laser for one in firings]),
+        column=np.concatenate(columns),
+        start_s=begin_s,
+        end_s=until_s,
+        packets=packets,
+    )
+
+
+def _columns(laser: Bytes, fired_before: Times) -> Times:
+    """(N,) how often each laser has fired before, of which (L,) are counted on."""
+    order = np.argsort(laser, kind="stable")
+    counts = np.bincount(laser, minlength=len(fired_before))
+    starts = np.cumsum(counts) - counts
+    columns = np.empty(len(laser), np.int64)
+    columns[order] = np.arange(len(laser)) + np.repeat(fired_before - starts, counts)
+    fired_before += counts
+    return columns

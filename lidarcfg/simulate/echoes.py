@@ -19,6 +19,7 @@ from lidarcfg import maths
 from lidarcfg.core import simulate
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.scene_file import Weather
 
@@ -48,29 +49,15 @@ REPORTED = {
     "first-strongest": (FIRST, STRONGEST_BUT_FIRST),
     "two-strongest": (STRONGEST, SECOND),
 }
+EXACT = Realism()
 DARK = 2  # reflectivities below are of dark targets
 
 
 def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
-    """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided.
-
-    `first` and `count` are multiples of four: Philox generates four at a time.
-    """
-    assert first % 4 == 0
-    assert count % 4 == 0
+    """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided."""
+    before = first % 4  # Philox generates four at a time
     philox = np.random.Philox(key=[realism.seed, 8 * sensor_index + stream], counter=[first // 4, 0, 0, 0])
-    return np.random.Generator(philox).random(count) + 2.0**-54
-
-
-@dataclass(frozen=True)
-class SubRays:
-    """What the K rays of the beams of N firings hit, (N, K)."""
-
-    range_m: Array  # inf: nothing
-    reflectivity: NDArray[np.uint8]
-    object: NDArray[np.int32]
-    cosine: Array  # of the angle between ray and normal
-    laser: NDArray[np.uint8]  # (N,) that fired
+    return np.random.Generator(philox).random(before + count)[before:] + 2.0**-54
 
 
 @dataclass(frozen=True)
@@ -129,12 +116,12 @@ def wide_beam_echoes(
     sensor_index: int,
     first: int,
     weights: Array,
-    hits: SubRays,
+    rays: simulate.SubRays,
     candidates: Sequence[int] = CANDIDATES,
 ) -> Echoes:
     """Exact candidates (N, C) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
-    count = len(hits.range_m)
+    count = len(rays.range_m)
     alpha = extinction_per_m(weather)
     with_strongest = candidates if candidates[0] == STRONGEST else (STRONGEST, *candidates)
     extra = len(with_strongest) - len(candidates)  # columns that are computed for `strongest_m` alone
@@ -146,19 +133,17 @@ def wide_beam_echoes(
     fade = np.empty((0, 0))
     if alpha:
         droplets = np.stack(_droplets(sensor, realism, sensor_index, first, count, alpha), axis=1)
-        fade = maths.exp(-2 * alpha * np.column_stack([hits.range_m, droplets[:, :1]]))
-    found = Echoes(
+        fade = maths.exp(-2 * alpha * np.column_stack([rays.range_m, droplets[:, :1]]))
+    found = simulate.Candidates(
         range_m=np.empty((count, len(which))),
-        noise_m=np.zeros((count, len(which))),
         reflectivity=np.empty((count, len(which)), np.uint8),
         object=np.empty((count, len(which)), np.int32),
-        strongest_m=np.empty(0),
     )
     range_max_m = sensor.range.reported_m[1]
-    simulate.merge_echoes(hits, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, which, found)
+    simulate.merge_echoes(rays, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, which, found)
     return Echoes(
         range_m=np.ascontiguousarray(found.range_m[:, extra:]),
-        noise_m=np.ascontiguousarray(found.noise_m[:, extra:]),
+        noise_m=np.zeros((count, len(candidates))),
         reflectivity=np.ascontiguousarray(found.reflectivity[:, extra:]),
         object=np.ascontiguousarray(found.object[:, extra:]),
         strongest_m=found.range_m[:, 0].copy(),
@@ -185,6 +170,24 @@ def _droplets(
     albedo = math.pi * PULSE_M * alpha / LIDAR_RATIO_SR * speckle
     best = np.argmax(albedo * maths.exp(-2 * alpha * middle) / middle**2, axis=1)
     return middle[best], albedo[np.arange(count), best]
+
+
+class SensorErrors:
+    """What the sensor number `index` of a rig adds to exact echoes: dropouts, noise, and its lasers' own errors."""
+
+    def __init__(self, index: int, mount: Mount) -> None:
+        self._index = index
+        self._realism = mount.realism or EXACT
+        self._return_mode = mount.return_mode
+        self._lasers_m = laser_errors_m(self._realism, index, mount.sensor.count)
+
+    def add(self, found: Echoes, laser: NDArray[np.uint8], first: int) -> None:
+        """Change the echoes of N firings of lasers (N,), numbered from `first` on."""
+        apply_dropout(found, self._realism, self._index, first)
+        add_noise(found, self._realism, self._index, first)
+        found.noise_m[:] += self._lasers_m[laser][:, None]
+        if self._return_mode == "dual":
+            drop_one_return(found, self._realism, self._index, first)
 
 
 def apply_dropout(found: Echoes, realism: Realism, sensor_index: int, first: int) -> None:

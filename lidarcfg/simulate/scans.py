@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 
 from lidarcfg import maths
 from lidarcfg.clouds.cloud import PointCloud, concatenate
-from lidarcfg.geometry import Array, Times
+from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.inputs import check_memory
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.firing import NO_ELEVATIONS, RETURN_TYPES, FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.drive import Drive, object_names
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.tasks import (
+from lidarcfg.simulate.scene_drive import SceneDrive, object_names
+from lidarcfg.simulate.sensor_runs import (
     CHUNK_RAYS,
+    ChunkRunner,
+    SensorRun,
     SimulationOptions,
-    Task,
-    TaskRunner,
-    build_tasks,
     map_chunks,
     most_returns_per_ns,
+    sensor_runs,
 )
 from lidarcfg.units import MINUTE_NS
 
@@ -38,7 +38,7 @@ SECOND_STRONGEST = 2  # another
 STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the other may be the strongest instead
 
 
-def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> Iterator[PointCloud]:
+def simulated_scans(drive: SceneDrive, options: SimulationOptions | None = None) -> Iterator[PointCloud]:
     """The points of each sensor's revolutions in its own frame, in the order in which they end.
 
     A revolution begins where the head passes azimuth 0, or the start of a narrower field of view; of a scan pattern
@@ -46,27 +46,27 @@ def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> I
     Raises ConfigError.
     """
     options = options or SimulationOptions()
-    tasks = build_tasks(drive, options.chunk_ns)
+    runs = sensor_runs(drive, options.chunk_ns)
     names = object_names(drive.scene, drive.vehicle)
-    _check_memory(tasks)
-    runner = TaskRunner.of(options, len(tasks))
-    streams = [_sensor_scans(task, runner, names) for task in tasks]
+    _check_memory(runs)
+    runner = ChunkRunner.of(options, len(runs))
+    streams = [_sensor_scans(run, runner, names) for run in runs]
     return heapq.merge(*streams, key=lambda scan: int(scan.time_ns[-1]))
 
 
-def most_returns(drive: Drive) -> int:
+def most_returns(drive: SceneDrive) -> int:
     """The number of points in a drive if each ray returns. Raises ConfigError."""
     rates = [most_returns_per_ns(mount, timing(mount.sensor).pace(mount)) for mount in drive.rig.mounts]
     return round(sum(rates) * drive.duration_ns)
 
 
-def _check_memory(tasks: Sequence[Task]) -> None:
+def _check_memory(runs: Sequence[SensorRun]) -> None:
     """Raises LidarcfgError if memory does not hold a revolution of each sensor: it waits for those of the others."""
     held = 0
-    for task in tasks:
-        rate = most_returns_per_ns(task.mount, task.timing.pace(task.mount))
-        held += round(min(task.mount.frame_ns * rate + 2 * CHUNK_RAYS, task.duration_ns * rate))
-    what = f"a revolution of each sensor, {len(tasks):,} in all, and what is traced ahead,"
+    for run in runs:
+        rate = most_returns_per_ns(run.mount, run.timing.pace(run.mount))
+        held += round(min(run.mount.frame_ns * rate + 2 * CHUNK_RAYS, run.duration_ns * rate))
+    what = f"a revolution of each sensor, {len(runs):,} in all, and what is traced ahead,"
     check_memory(what, RETURN_BYTES * held, "export fewer sensors at a time")
 
 
@@ -78,11 +78,11 @@ class _TracedPoints:
     number: Times
 
 
-def _sensor_scans(task: Task, runner: TaskRunner, object_names: tuple[str, ...]) -> Iterator[PointCloud]:
+def _sensor_scans(run: SensorRun, runner: ChunkRunner, object_names: tuple[str, ...]) -> Iterator[PointCloud]:
     """The scans of one sensor: a cloud for each revolution, in the sensor's frame."""
-    mount = task.mount
+    mount = run.mount
     ring = mount.sensor.ring.astype(np.uint8)
-    counter = _FrameCounter(task.start_ns, mount.frame_ns) if mount.sensor.scan_pattern else _RevolutionCounter.of(task)
+    counter = _FrameCounter(run.start_ns, mount.frame_ns) if mount.sensor.scan_pattern else _RevolutionCounter.of(run)
 
     def make(batch: FiringBatch, found: Echoes) -> _TracedPoints:
         firing, cloud = _points(mount, batch.firings, found)
@@ -91,7 +91,7 @@ def _sensor_scans(task: Task, runner: TaskRunner, object_names: tuple[str, ...])
 
     begun: list[PointCloud] = []  # of many sensors one waits for the others: what it holds then is little else
     current = 0
-    for number, cloud in chain.from_iterable(map(_split_revolutions, map_chunks(task, runner, make))):
+    for number, cloud in chain.from_iterable(map(_split_revolutions, map_chunks(run, runner, make))):
         if begun and number != current:
             yield _merge_and_clear(begun)
         current = number
@@ -141,12 +141,12 @@ class _RevolutionCounter:
     begin_rad: float  # where revolutions begin
 
     @classmethod
-    def of(cls, task: Task) -> "_RevolutionCounter":
-        """The counter of a task's sensor, which starts with its first firing."""
-        mount = task.mount
+    def of(cls, run: SensorRun) -> "_RevolutionCounter":
+        """The counter of a run's sensor, which starts with its first firing."""
+        mount = run.mount
         begin_rad = math.radians(mount.azimuth_fov_deg[0]) if mount.azimuth_fov_deg else 0.0
         everywhere = replace(mount, azimuth_fov_deg=None)
-        first = next(iter(task.timing.schedule(everywhere, task.start_ns, 1, 1))).firings
+        first = next(iter(run.timing.schedule(everywhere, run.start_ns, [range(1)]))).firings
         ahead = (first.encoder_rad[0] - begin_rad) % (2 * math.pi) / (2 * math.pi)
         return cls(mount.rpm / MINUTE_NS, int(first.time_ns[0]), float(ahead), begin_rad)
 
@@ -159,19 +159,8 @@ class _RevolutionCounter:
 def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCloud]:
     """The points of N firings, and which firing each is of."""
     sensor = mount.sensor
-    assert sensor.range
-    (least_m, most_m) = sensor.range.reported_m
     range_m = found.range_m + found.noise_m
-    there = (range_m >= least_m) & (range_m <= most_m)
-    kinds = np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape).copy()
-    if mount.dual:
-        bright = found.reflectivity
-        alike = there.all(axis=1) & (range_m[:, 0] == range_m[:, 1]) & (bright[:, 0] == bright[:, 1])
-        there[:, 1] &= ~alike
-        if mount.return_mode in STRONGEST_AT:
-            at = STRONGEST_AT[mount.return_mode]
-            kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
-    firing, which = np.nonzero(there)
+    firing, which, kind = reported(mount, range_m, found.reflectivity)
     cloud = PointCloud(
         xyz=firing_ends(sensor, fired[firing], range_m[firing, which]),
         intensity=found.reflectivity[firing, which],
@@ -179,10 +168,27 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
         time_ns=fired.time_ns[firing],
         sensor=np.zeros(len(firing), np.uint16),
         sensor_names=(mount.name,),
-        return_type=kinds[firing, which],
+        return_type=kind,
         object=found.object[firing, which],
     )
     return firing, cloud
+
+
+def reported(mount: Mount, range_m: Array, reflectivity: Bytes) -> tuple[Times, Times, Bytes]:
+    """Which echoes (N, R) of firings a sensor reports: firing (M,), which of its R echoes, and the type of return."""
+    assert mount.sensor.range
+    least_m, most_m = mount.sensor.range.reported_m
+    there = (range_m >= least_m) & (range_m <= most_m)
+    kinds = np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape).copy()
+    if mount.dual:
+        bright = reflectivity
+        alike = there.all(axis=1) & (range_m[:, 0] == range_m[:, 1]) & (bright[:, 0] == bright[:, 1])
+        there[:, 1] &= ~alike
+        if mount.return_mode in STRONGEST_AT:
+            at = STRONGEST_AT[mount.return_mode]
+            kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
+    firing, which = np.nonzero(there)
+    return firing, which, kinds[firing, which]
 
 
 def firing_ends(sensor: Sensor, fired: Firings, range_m: Array) -> Array:

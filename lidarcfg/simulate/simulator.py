@@ -3,27 +3,20 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarcfg import maths
 from lidarcfg.core import simulate, world
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
 from lidarcfg.sensors.firing import Firings
-from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.simulate.aim import firings_of, lasers_of, mounting_of
 from lidarcfg.simulate.echoes import (
     CELLS,
+    EXACT,
     REPORTED,
     Echoes,
-    SubRays,
-    add_noise,
-    apply_dropout,
+    SensorErrors,
     beam_rays,
-    drop_one_return,
     extinction_per_m,
-    laser_errors_m,
     thin_beam_echoes,
     wide_beam_echoes,
 )
@@ -31,7 +24,6 @@ from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene_file import Weather
 from lidarcfg.world.tracer import NO_SHAPES, NO_SLOT, Tracer
 
-EXACT = Realism()
 CLEAR = Weather()
 BEYOND_M = 1.0  # beyond a sensor's range nothing is reported; rays are traced this much farther
 
@@ -41,36 +33,6 @@ class RayCounts(NamedTuple):
 
     rays: int
     hits: int
-
-
-class ObjectSlots(NamedTuple):
-    """Which objects are hit, and how they reflect."""
-
-    object: NDArray[np.int32]  # by slot: of nothing, the ground, the world's shapes, then of the vehicle's bodies
-    reflectivity: NDArray[np.uint8]  # by object: of nothing, then of the others
-
-
-class LaserRays(NamedTuple):
-    """The L lasers of a sensor, and the K rays of a beam of each."""
-
-    cos_elevation: Array  # (L,)
-    sin_elevation: Array
-    cos_offset: Array  # of the azimuth
-    sin_offset: Array
-    forward_m: Array
-    left_m: Array
-    up_m: Array
-    across: Array  # (K,) tangents of the angles by which the rays of a beam leave its axis
-    above: Array
-
-
-class Mounting(NamedTuple):
-    """Where a sensor is: mounted in a vehicle that moves along a path in the world, relative to its tracer's origin."""
-
-    T_world_start: Array  # (4, 4)
-    path: world.Path
-    zero_ns: int  # its time 0
-    T_vehicle_sensor: Array  # (4, 4)
 
 
 class Simulator:
@@ -94,9 +56,9 @@ class Simulator:
             raise ConfigError(f"{mount.name}: divergence: sensor {mount.sensor.name!r} has no optics facts")
         self._exact = self._realism.model_copy(update={"seed": 0}) == EXACT and self._weather == CLEAR
         across, above, self._weights = beam_rays(mount.sensor, self._realism)
-        self._errors_m = laser_errors_m(self._realism, index, mount.sensor.count)
-        self._lasers = _lasers(mount.sensor, across, above)
-        self._mounting = _mounting(mount, trajectory, tracer.origin_m)
+        self._errors = SensorErrors(index, mount)
+        self._lasers = lasers_of(mount.sensor, across, above)
+        self._mounting = mounting_of(mount, trajectory, tracer.origin_m)
         cells = CELLS if extinction_per_m(self._weather) else 0
         self.width = len(across) + cells  # rays and cells per firing
 
@@ -112,27 +74,23 @@ class Simulator:
         counts = RayCounts(hits.range_m.size, int(np.count_nonzero(hits.range_m <= sensor.range.reported_m[1])))
         if self._exact:
             return thin_beam_echoes(hits.range_m, hits.reflectivity, hits.object, mount.return_mode), counts
+        rays = simulate.SubRays(hits.range_m, hits.reflectivity, hits.object, hits.cosine, fired.laser)
         candidates = REPORTED[mount.return_mode]
         reported = wide_beam_echoes(
-            sensor, self._realism, self._weather, self._index, first, self._weights, hits, candidates
+            sensor, self._realism, self._weather, self._index, first, self._weights, rays, candidates
         )
-        apply_dropout(reported, self._realism, self._index, first)
-        add_noise(reported, self._realism, self._index, first)
-        reported.noise_m[:] += self._errors_m[fired.laser][:, None]
-        if mount.return_mode == "dual":
-            drop_one_return(reported, self._realism, self._index, first)
+        self._errors.add(reported, fired.laser, first)
         return reported, counts
 
-    def _trace(self, fired: Firings) -> SubRays:
+    def _trace(self, fired: Firings) -> simulate.Hits:
         """What the rays of firings hit; the cosines are left out where echoes do not depend on them."""
         assert self._mount.sensor.range
         shape = len(fired.time_ns), len(self._weights)
-        hits = SubRays(
+        hits = simulate.Hits(
             range_m=np.empty(shape),
             reflectivity=np.empty(shape, np.uint8),
             object=np.empty(shape, np.int32),
             cosine=np.empty((0, 0) if self._exact else shape),
-            laser=fired.laser,
         )
         if len(fired.time_ns):
             self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
@@ -142,7 +100,7 @@ class Simulator:
             self._surfaces,
             self._lasers,
             self._mounting,
-            fired,
+            firings_of(fired),
             self._tracer.zero_ns,
             self._mount.sensor.range.reported_m[1] + BEYOND_M,
             hits,
@@ -158,36 +116,11 @@ class Simulator:
             check((first_ns - zero_ns) / 1e9, (last_ns - zero_ns) / 1e9)
 
 
-def _surfaces(tracer: Tracer, bodies: Tracer | None) -> ObjectSlots:
+def _surfaces(tracer: Tracer, bodies: Tracer | None) -> simulate.Surfaces:
     """What rays of a tracer may hit, and bodies."""
     objects, _ = tracer.world.resolve(np.arange(NO_SLOT, len(tracer.world), dtype=np.int32))
     reflectivity = [np.zeros(1, np.uint8), tracer.scene.reflectivity]
     if bodies:
         objects = np.concatenate([objects, len(tracer.scene.names) + bodies.world.fixed.object], dtype=np.int32)
         reflectivity.append(bodies.scene.reflectivity)
-    return ObjectSlots(objects, np.concatenate(reflectivity))
-
-
-def _lasers(sensor: Sensor, across: Array, above: Array) -> LaserRays:
-    return LaserRays(
-        cos_elevation=maths.cos(sensor.elevation_rad),
-        sin_elevation=maths.sin(sensor.elevation_rad),
-        cos_offset=maths.cos(sensor.azimuth_offset_rad),
-        sin_offset=maths.sin(sensor.azimuth_offset_rad),
-        forward_m=np.ascontiguousarray(sensor.forward_offset_m),
-        left_m=np.ascontiguousarray(sensor.lateral_offset_m),
-        up_m=np.ascontiguousarray(sensor.vertical_offset_m),
-        across=across,
-        above=above,
-    )
-
-
-def _mounting(mount: Mount, trajectory: Trajectory, origin_m: Array) -> Mounting:
-    T_world_start = np.array(trajectory.T_world_start)
-    T_world_start[:3, 3] -= origin_m
-    return Mounting(
-        T_world_start=T_world_start,
-        path=trajectory.path.compiled,
-        zero_ns=trajectory.zero_ns,
-        T_vehicle_sensor=np.ascontiguousarray(mount.T_vehicle_sensor),
-    )
+    return simulate.Surfaces(object=objects, reflectivity=np.concatenate(reflectivity))

@@ -11,10 +11,10 @@ from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
-from lidarcfg.requirements.post_visibility import PostVisibility
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.misses import MissesFound
+from lidarcfg.returns.post_visibility import PostVisibility
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.study.evaluator import Evaluator

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lidarcfg.core import vsr as core
 from lidarcfg.geometry import Array, level, up
 from lidarcfg.inputs import check_memory
-from lidarcfg.study.batch import Batch, BatchResult, Counter, Placed, Sources, parallel_for
+from lidarcfg.study.batch import Counter, parallel_for
 from lidarcfg.study.objective import Criterion
 from lidarcfg.study.trial import Trial
 from lidarcfg.vsr.cones import FIRST, Lidar, cone_rows
@@ -224,26 +224,26 @@ class Evaluator:
                 moved = differs.any(axis=2)
                 same_position = ~differs[..., :3].any(axis=2) & (len(self._clear) > 0)
                 self._recompute_links(np.unique(source[(~moved | same_position).any(axis=1)]))
-        batch = Batch(
-            self._placed(poses),
-            upper_bound,
-            moved,
-            source,
-            certificates,
-            self._links,
-            same_position,
-            self._clear,
-            smoothing,
+        batch = core.Batch(
+            placed=self._placed(poses),
+            upper_bound=upper_bound,
+            moved=moved,
+            source=source,
+            certificates=certificates,
+            links=self._links,
+            same_position=same_position,
+            clear=self._clear,
+            smoothing=smoothing,
         )
         remembered = sum(len(one.links) for one in self._remembered)
         fits = len(self._links) > 0 and (remembered + count) * self._link_bytes <= self._cache_bytes
         alone = np.where((moved.sum(axis=1) == 1) & fits, moved.argmax(axis=1), -1)
-        result = BatchResult(
-            np.full(count, np.inf),
-            np.full(count, -1, np.int64),
-            np.full_like(certificates, -1),
-            np.empty((fits * count, *self._links.shape[2:]), np.uint64),
-            np.empty((fits * count * (len(self._clear) > 0), *self._clear.shape[2:]), np.uint64),
+        result = core.BatchResult(
+            cost=np.full(count, np.inf),
+            refuted_by=np.full(count, -1, np.int64),
+            certificates=np.full_like(certificates, -1),
+            links=np.empty((fits * count, *self._links.shape[2:]), np.uint64),
+            clear=np.empty((fits * count * (len(self._clear) > 0), *self._clear.shape[2:]), np.uint64),
         )
 
         def run(counter: Counter, most: int, workspace: core.TrialEvaluator) -> tuple[int, int, int]:
@@ -257,7 +257,8 @@ class Evaluator:
         self.cuboids += evaluated * nx * ny * nz + compared * min(nx, 64)
         if len(self._certificates):
             core.promote_certificates(self._certificates, source, result.refuted_by)
-        self._remember(result.cost, _Remembered(source, poses, *result[2:], alone))
+        found = _Remembered(source, poses, result.certificates, result.links, result.clear, alone)
+        self._remember(result.cost, found)
         return result.cost, evaluated
 
     def _remember(self, cost: Array, found: _Remembered) -> None:
@@ -281,16 +282,16 @@ class Evaluator:
         if self.on_evaluated:
             self.on_evaluated(count)
 
-    def _placed(self, poses: Array) -> Placed:
+    def _placed(self, poses: Array) -> core.Placed:
         """The LiDARs at poses (n, lidars, 6)."""
         cones = np.empty((*poses.shape[:2], FIRST + self._square.shape[1]))
         cones[..., :3] = poses[..., :3]
         cones[..., 3:FIRST] = up(poses[..., 3:])
         cones[..., FIRST:] = self._square
         if self._visibility is None:
-            return Placed(cones, np.empty((len(poses), 0, LIMITS)), UNLIMITED_SIGHT.obstacles)
+            return core.Placed(cones, np.empty((len(poses), 0, LIMITS)), UNLIMITED_SIGHT.obstacles)
         limits = self._visibility.limits(self._lidars, level(poses[..., 3:]))
-        return Placed(cones, limits, self._visibility.obstacles)
+        return core.Placed(cones, limits, self._visibility.obstacles)
 
     @property
     def _link_bytes(self) -> int:
@@ -343,7 +344,14 @@ class Evaluator:
         linked_poses = self._linked_poses[stale]
         changed = (linked_poses != poses).any(axis=2)
         same_position = (linked_poses[..., :3] == poses[..., :3]).all(axis=2)
-        known = Sources(stale, self._placed(poses), changed, same_position, self._links, self._clear)
+        known = core.Sources(
+            row=stale,
+            placed=self._placed(poses),
+            changed=changed,
+            same_position=same_position,
+            links=self._links,
+            clear=self._clear,
+        )
 
         def run(counter: Counter, most: int, workspace: core.TrialEvaluator) -> None:
             workspace.recompute_links(counter, most, known)

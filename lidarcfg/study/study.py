@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from lidarcfg import core, maths
 from lidarcfg.config.models import NAME_MAX, Given, error_at, errors_at, load_or_check, whole_values
 from lidarcfg.geometry import Array, up
-from lidarcfg.requirements.context import Context, VehicleSite
 from lidarcfg.requirements.file import entries_of
-from lidarcfg.requirements.kind import Entry
+from lidarcfg.requirements.kind import Context, Entry, VehicleSite
 from lidarcfg.requirements.resolved import Requirements, resolved
 from lidarcfg.requirements.robustness import Robust, mounted
 from lidarcfg.returns.known import KnownReturns

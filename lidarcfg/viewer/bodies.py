@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.study import Study
+from lidarcfg.viewer.colours import EXCLUDED, WORST
 from lidarcfg.viewer.mounting import poses_in_study
 from lidarcfg.vsr.cones import rig_lidars
 from lidarcfg.vsr.metric import Extent, extents, max_vsr, volume_m3, vsr_m
@@ -143,6 +144,12 @@ def _outer(inside: NDArray[np.bool_], axis: int, layer: int) -> Iterator[NDArray
         return
     for here in layers:
         yield np.diff(np.pad(here, ((1, 1), (0, 0))), axis=0)
+
+
+def region_bodies(study: Study, found: RigScore) -> list[tuple[Array, str]]:
+    """Faces (F, 4, 3) and colour of what the region excludes, and of a rig's worst subspaces."""
+    excluded = faces(study.region, ~study.region.included)
+    return [(excluded, EXCLUDED), *((body.faces_m, WORST) for body in found.worst)]
 
 
 def base_area_m(study: Study) -> Array:

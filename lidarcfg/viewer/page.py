@@ -41,6 +41,8 @@ MODULES = {"three": "vendor/three.js"} | {
 }
 BINS = 256  # of time: in each the points are in random order, so that a part of it is a fair sample
 SURROUNDINGS_M = 40.0  # shown around the vehicle in a scene
+MISSED_M = 10.0  # shown around the vehicle where the ground shows what is missed
+WORST_SHOWN = 3  # of the worst subspaces
 ALONE_M = 4.0  # shown around sensors without anything else
 SIDES = np.array(list(np.ndindex(3, 3, 3))) - 1.0  # to look for outermost places
 PIECE = 3 << 22  # bytes of an array in one script of a standalone file
@@ -55,16 +57,19 @@ class Page:
 
 
 def page_of(
-    contents: Contents, by: By = "sensor", camera: Camera | None = None, worst: int = 3, served: bool = False
+    contents: Contents, by: By = "sensor", camera: Camera | None = None, worst: int | None = None, served: bool = False
 ) -> Page:
     """All that the page shows; if it is served it asks for detection rates and the verdict itself.
 
+    So many of the `worst` subspaces are shown first: 3, or none where the ground shows what is missed.
     Raises CloudError if there is nothing to show, or the colour is unknown.
     """
     if not (len(contents.cloud.xyz) or contents.rigs or contents.study or contents.scenes):
         raise CloudError("the cloud is empty; there is nothing to show")
     if by == "object" and contents.objects is None:
         raise CloudError("objects are known only from ground truth; give the .npz of export --truth, too")
+    if worst is None:
+        worst = 0 if _shows_misses(contents) else WORST_SHOWN
     line = timeline(contents)
     points, arrays = _points(contents, line) if line and len(contents.cloud.xyz) else (None, {})
     if line:
@@ -232,12 +237,14 @@ def _utc(time_ns: int) -> str:
 
 def _opening(contents: Contents, found: dict[str, Any] | None, worst: int) -> Array:
     """(n, 3) outermost places of what the page shows whole when it opens: the vehicle, its sensors and the worst
-    subspaces; without a study also most of the points, or the scene around."""
+    subspaces, or what is missed near by; without a study also most of the points, or the scene around."""
     corners = [np.array([mount.position_m for rig in contents.rigs for mount in rig.mounts]).reshape(-1, 3)]
     if contents.vehicle:
         corners.append(contents.vehicle.scene.mesh()[0])
     if contents.study and found:
         corners += [_corners(body["mesh"]) for body in found["worst"][:worst]]
+        if not worst and contents.study.body:
+            corners.append(np.append(contents.study.body.middle_m, _ground_m(contents)) + MISSED_M * SIDES * (1, 1, 0))
     elif len(contents.cloud.xyz):
         some = contents.cloud.xyz[:: max(len(contents.cloud.xyz) // 10_000, 1)]
         middle = corners[0].mean(axis=0) if len(corners[0]) else np.median(some, axis=0)
@@ -282,6 +289,12 @@ def _counts_misses(study: Study, rig: Rig) -> bool:
         return study.misses is not None and bool(study.scanners(rig.mounts))
     except ConfigError:
         return False
+
+
+def _shows_misses(contents: Contents) -> bool:
+    """Whether the page opens with what is missed on the ground: beside points it would hide them."""
+    study = contents.study
+    return study is not None and not len(contents.cloud.xyz) and _counts_misses(study, contents.rigs[0])
 
 
 def _study(study: Study, rig: Rig) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import view as core
+from lidarcfg.core import viewer as core
 from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
@@ -14,7 +14,7 @@ from lidarcfg.inputs import check_memory
 from lidarcfg.report.canvas import spread
 from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import Mount
-from lidarcfg.viewer.bodies import base_area_m, base_discs_m, faces, score
+from lidarcfg.viewer.bodies import RigScore, base_area_m, base_discs_m, region_bodies, score
 from lidarcfg.viewer.camera import Camera
 from lidarcfg.viewer.colours import (
     BACKGROUND,
@@ -52,6 +52,7 @@ NEAR_M = 0.05
 GROUND_M = 200.0  # of the ground, to each side of the vehicle
 AXIS_M = 0.6
 BASE_AHEAD_M = 0.5  # before the triangles of the body that a sensor sits on
+Bodies = list[tuple[Array, str]]  # faces (F, 4, 3) and colour
 AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
 PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the rest is the view from above
 ABOVE = (0.04, 0.055, 0.95, 0.35)  # the left, bottom, width and height of the view from above in such a picture
@@ -80,25 +81,27 @@ def save_still(
     width, height = size
     check_memory(f"a picture of {width} x {height} pixels", PIXEL_BYTES * width * height)
     colours = point_colours(contents, by)
+    found = score(contents.study, contents.rigs[0], worst) if contents.study else None
+    bodies = region_bodies(contents.study, found) if contents.study and found else []
     figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor="none")  # lines and labels only
     canvas: Any = FigureCanvasAgg(figure)  # matplotlib has no types here
     pixels = np.full((height, width, 3), rgb([NIGHT])[0], np.uint8)
     if camera:
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        _draw_perspective(axes, pixels, contents, colours, camera, worst)
+        _draw_perspective(axes, pixels, contents, colours, camera, bodies)
     else:
         center, reach_m = _center(contents)
         axes = figure.add_axes((0.0, 1 - PERSPECTIVE_FRACTION, 1.0, PERSPECTIVE_FRACTION))
         camera = Camera(center + np.array([-21.0, -7.0, 7.5]), center + np.array([8.0, 0.5, 0.5]), 74.0)
-        _draw_perspective(axes, pixels[: round(height * PERSPECTIVE_FRACTION)], contents, colours, camera, worst)
+        _draw_perspective(axes, pixels[: round(height * PERSPECTIVE_FRACTION)], contents, colours, camera, bodies)
         left, bottom, wide, high = np.round(np.multiply(ABOVE, (width, height, width, height))).astype(int)
         more = min(max(round(LABELS_EM * _text_pt(height) * 100 / 72) - left, 0), wide // 2)
         left += more
         wide -= more
         above = pixels[height - bottom - high : height - bottom, left : left + wide]
         place = left / width, bottom / height, wide / width, high / height
-        _draw_above(figure.add_axes(place), above, contents, colours, center, reach_m, height, worst)
-    _legend(axes, contents, by, height, worst)
+        _draw_above(figure.add_axes(place), above, contents, colours, center, reach_m, height, bodies)
+    _legend(axes, contents, by, height, found)
     drawn, _ = canvas.print_to_buffer()  # RGBA
     _blend(np.frombuffer(drawn, np.uint8).reshape(height, width, 4), pixels)
     with replacing(path, "wb") as file:
@@ -141,7 +144,12 @@ def _center(contents: Contents) -> tuple[Array, float]:
 
 
 def _draw_perspective(
-    axes: "Axes", pixels: NDArray[np.uint8], contents: Contents, colours: NDArray[np.uint8], camera: Camera, worst: int
+    axes: "Axes",
+    pixels: NDArray[np.uint8],
+    contents: Contents,
+    colours: NDArray[np.uint8],
+    camera: Camera,
+    bodies: Bodies,
 ) -> None:
     height, width = pixels.shape[:2]
     column, row, depth = camera.project(contents.cloud.xyz, width, height)
@@ -159,7 +167,7 @@ def _draw_perspective(
                 fits = (r >= 0) & (r < height) & (c >= 0) & (c < width)
                 image[r[fits], c[fits]] = faded[near[fits]]
                 nearest_m[r[fits], c[fits]] = depth[near[fits]]
-    drawn = int(np.isfinite(nearest_m).sum()) + _draw_bodies(image, nearest_m, contents, camera, worst)
+    drawn = int(np.isfinite(nearest_m).sum()) + _draw_bodies(image, nearest_m, contents, camera, bodies)
     pixels[:] = image
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.axis("off")
@@ -179,10 +187,10 @@ class Shape(NamedTuple):
 
 
 def _draw_bodies(
-    image: NDArray[np.float32], nearest_m: NDArray[np.float32], contents: Contents, camera: Camera, worst: int
+    image: NDArray[np.float32], nearest_m: NDArray[np.float32], contents: Contents, camera: Camera, bodies: Bodies
 ) -> int:
     """Blend the translucent bodies into the image in front of its points; returns the number of pixels."""
-    shapes = _shapes(contents, worst)
+    shapes = _shapes(contents, bodies)
     if not shapes:
         return 0
     triangles = camera.view(np.concatenate([shape.triangles for shape in shapes]))
@@ -198,7 +206,7 @@ def _draw_bodies(
     return core.blend_triangles(image, nearest_m, triangles[order], shaded, alpha[order], focal_px, NEAR_M)
 
 
-def _shapes(contents: Contents, worst: int) -> list[Shape]:
+def _shapes(contents: Contents, bodies: Bodies) -> list[Shape]:
     """Scenes, the vehicle with the bases and where they fit, exclusions of the region, worst subspaces."""
     shapes: list[Shape] = []
     for scene in contents.scenes:
@@ -214,18 +222,7 @@ def _shapes(contents: Contents, worst: int) -> list[Shape]:
     if contents.study and has_its_sensors(contents.study, contents.rigs[0]):
         shapes.append(Shape(_halved(base_area_m(contents.study)), BASE_AREA, 0.7, BASE_AHEAD_M))
         shapes.append(Shape(base_discs_m(contents.study, contents.rigs[0]), BASE, 0.9, BASE_AHEAD_M))
-    return shapes + [Shape(_halved(quads), code, 0.28) for quads, code in _bodies(contents, worst)]
-
-
-def _bodies(contents: Contents, worst: int) -> list[tuple[Array, str]]:
-    """Faces (F, 4, 3) and colour of what the region excludes and of the worst subspaces."""
-    if not contents.study:
-        return []
-    excluded = faces(contents.study.region, ~contents.study.region.included)
-    return [
-        (excluded, EXCLUDED),
-        *((body.faces_m, WORST) for body in score(contents.study, contents.rigs[0], worst).worst),
-    ]
+    return shapes + [Shape(_halved(quads), code, 0.28) for quads, code in bodies]
 
 
 def _halved(quads: Array) -> Array:
@@ -337,7 +334,7 @@ def _draw_above(
     center: Array,
     reach_m: float,
     picture_height: int,
-    worst: int,
+    bodies: Bodies,
 ) -> None:
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Rectangle
@@ -353,7 +350,7 @@ def _draw_above(
     pixels[row[fits], column[fits]] = colours[fits]
     side = height / 2 / scale
     extent = (center[0] - reach_m, center[0] + reach_m, center[1] - side, center[1] + side)
-    for quads, code in _bodies(contents, worst):
+    for quads, code in bodies:
         flat = quads[np.ptp(quads[..., 2], axis=1) == 0][..., :2]
         axes.add_collection(PolyCollection(list(flat), facecolors=code, alpha=0.2, linewidths=0), autolim=False)
     if contents.study:
@@ -379,7 +376,7 @@ def _draw_above(
     axes.tick_params(colors="0.8", labelsize=text)
 
 
-def _legend(axes: "Axes", contents: Contents, by: By, height: int, worst: int) -> None:
+def _legend(axes: "Axes", contents: Contents, by: By, height: int, found: RigScore | None) -> None:
     """What the colours mean: sensors or objects with their counts, or the colour scale."""
     from matplotlib.lines import Line2D
 
@@ -410,8 +407,7 @@ def _legend(axes: "Axes", contents: Contents, by: By, height: int, worst: int) -
             entries.append((f"{by} {value:.4g}{unit}", "#{:02x}{:02x}{:02x}".format(*code)))
         if by == "intensity":
             entries.append(("retro-reflector", RETRO))
-    if contents.study and worst:
-        found = score(contents.study, contents.rigs[0], 1)
+    if found and found.worst:
         entries.append((f"worst subspace: max VSR {found.max_vsr_m:.4f} m", WORST))
     if not entries:
         return

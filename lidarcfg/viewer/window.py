@@ -8,8 +8,8 @@ import numpy as np
 
 from lidarcfg.errors import CloudError
 from lidarcfg.geometry import transform
-from lidarcfg.viewer.bodies import faces, score
-from lidarcfg.viewer.colours import BACKGROUND, EXCLUDED, WORST, By, point_colours, rgb
+from lidarcfg.viewer.bodies import region_bodies, score
+from lidarcfg.viewer.colours import BACKGROUND, EXCLUDED, By, point_colours, rgb
 from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.timeline import mesh_at
 
@@ -59,8 +59,7 @@ def parts(contents: Contents, by: By) -> list[Any]:
         )
         found.append(mesh.compute_vertex_normals().paint_uniform_color(rgb([EXCLUDED])[0] / 255.0))
     if contents.study:
-        bodies = [(body.faces_m, WORST) for body in score(contents.study, contents.rigs[0], 1).worst]
-        for quads, code in (*bodies, (faces(contents.study.region, ~contents.study.region.included), EXCLUDED)):
+        for quads, code in region_bodies(contents.study, score(contents.study, contents.rigs[0], 1)):
             corners = quads.reshape(-1, 3)
             first = 4 * np.arange(len(quads))[:, None]
             ends = (first[:, :, None] + np.array([[0, 1], [1, 2], [2, 3], [3, 0]])).reshape(-1, 2)

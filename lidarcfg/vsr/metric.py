@@ -108,5 +108,5 @@ def extents(subspaces: Subspaces, numbers: Sequence[int]) -> list[Extent]:
     place[list(numbers)] = np.arange(len(numbers))
     nx, ny, nz = subspaces.region.shape
     lines = [np.zeros((len(numbers), *shape), np.int32) for shape in ((ny, nz), (nx, nz), (nx, ny))]
-    core.visibility.count_lines(subspaces.label, place, *lines)
+    core.vsr.count_lines(subspaces.label, place, *lines)
     return [Extent(subspaces.region, (x, y, z)) for x, y, z in zip(*lines, strict=True)]

@@ -119,7 +119,7 @@ def _seen(grid: core.Grid, cones: Array, sight: Sight) -> Words:
 
     def of_one(lidar: int) -> Words:
         one = slice(lidar, lidar + 1)
-        return core.seen(grid, cones[one], sight._replace(limits=sight.limits[one]))
+        return core.seen(grid, cones[one], Sight(sight.limits[one], sight.obstacles))
 
     with ThreadPoolExecutor() as pool:
         return np.concatenate(list(pool.map(of_one, range(len(cones)))))

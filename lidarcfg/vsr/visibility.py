@@ -6,17 +6,17 @@ lies on hides it, nor one that the LiDAR stands on.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import maths
+from lidarcfg.core import vsr
 from lidarcfg.geometry import Array
 from lidarcfg.vsr.cones import Lidar
 from lidarcfg.vsr.region import Region
 from lidarcfg.world.scene import Scene
-from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles
+from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles, obstacles_of
 from lidarcfg.world.vehicle import static_bvh
 
 LIMITS = 9  # columns of Sight.limits
@@ -26,13 +26,7 @@ ROUND_M = 1024.0  # the local origin is a multiple of it, so that subtracting it
 EXACT = 1e-15  # a cosine or sine below it is 0
 
 
-class Sight(NamedTuple):
-    """What LiDARs at known poses may see, as the core takes it; no rows of limits: everything."""
-
-    limits: Array  # (lidars, 9) least and greatest range, squared; the normals of two planes; kind of field of view
-    obstacles: Obstacles
-
-
+Sight = vsr.Sight
 UNLIMITED_SIGHT = Sight(np.empty((0, LIMITS)), NO_OBSTACLES)
 
 
@@ -56,7 +50,7 @@ class Visibility:
         middle = 0.5 * (region.min_m + region.max_m)
         origin_m = np.rint(middle / ROUND_M) * ROUND_M
         grounds = [scene.file.ground.z_m for scene in scenes if scene.file.ground]
-        found = Obstacles.of(static_bvh(scenes, origin_m), origin_m, max(grounds, default=np.inf))
+        found = obstacles_of(static_bvh(scenes, origin_m), origin_m, max(grounds, default=np.inf))
         return cls(found, range, field_of_view)
 
     @property

@@ -53,7 +53,7 @@ class Zone:
         found = np.zeros(len(vsr) + 1, np.bool_)  # the last is for excluded cuboids, of label −1
         x, y, z = self.cells(subspaces.region)
         cells = np.array([[x.start, x.stop], [y.start, y.stop], [z.start, z.stop]])
-        core.visibility.mark_subspaces(subspaces.label, cells, found)
+        core.vsr.mark_subspaces(subspaces.label, cells, found)
         return float(vsr[found[:-1]].max())
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.clouds.las import read_xyz
-from lidarcfg.clouds.rows import read_rows
+from lidarcfg.clouds.ply_pcd import read_rows
 from lidarcfg.errors import CloudError, ConversionError, SceneError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import visibility, world
+from lidarcfg.core import world
 from lidarcfg.geometry import Array
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import MotionPath, build_path
@@ -22,36 +22,20 @@ from lidarcfg.world.scene_file import Cylinder, Sphere
 _NO_INDEX = np.empty(0, np.int32)
 TRIANGLE, SPHERE, CYLINDER = range(3)  # kinds of shapes
 NO_SLOT = -2
-GROUND_SLOT = -1
 NO_OBJECT = -1  # nothing; the ground is object 0
 Shapes = tuple[Array, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32]]  # and kinds, numbers, objects
 NO_SHAPES: Shapes = np.empty((0, 9)), np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0, np.int32)
 
 
-class Obstacles(NamedTuple):
-    """What blocks beams, relative to a point."""
-
-    tree: world.Bvh
-    boxes: Array  # (6, B) that hold its shapes, see visibility.boxes_of
-    origin_m: Array  # (3,) the point, in the vehicle frame
-    ground_m: float  # height of the ground in the vehicle frame; inf: none
-
-    @classmethod
-    def of(cls, tree: world.Bvh, origin_m: Array, ground_m: float = np.inf) -> "Obstacles":
-        """The shapes of a hierarchy that is relative to a point (3,), and the ground."""
-        return cls(tree, visibility.boxes_of(tree), origin_m, ground_m)
+Obstacles = world.Obstacles  # what blocks beams, relative to a point
 
 
-NO_OBSTACLES = Obstacles.of(world.Bvh(np.empty((0, 9)), np.empty(0, np.uint8), _NO_INDEX, _NO_INDEX), np.zeros(3))
+def obstacles_of(tree: world.Bvh, origin_m: Array, ground_m: float = np.inf) -> Obstacles:
+    """The shapes of a hierarchy that is relative to a point (3,) of the vehicle frame, and the ground; inf: none."""
+    return Obstacles(tree=tree, boxes=world.boxes_of(tree), origin_m=origin_m, ground_m=ground_m)
 
 
-class Found(NamedTuple):
-    """What N rays hit first, to be written by the core; columns that are not asked for have no rows."""
-
-    range_m: Array  # (N,) inf: nothing
-    slot: NDArray[np.int32]  # (N,) the shape's place among the world's, or GROUND_SLOT or NO_SLOT
-    normal: Array  # (N, 3) of the surface, towards either side
-    cosine: Array  # (N,) of the angle between ray and normal
+NO_OBSTACLES = obstacles_of(world.Bvh(*NO_SHAPES), np.zeros(3))
 
 
 class Hits(NamedTuple):
@@ -107,7 +91,12 @@ class Tracer:
         Without times, all objects are where they are at time 0. Raises ConfigError outside timed poses.
         """
         count = len(directions)
-        found = Found(np.full(count, np.inf), np.full(count, NO_SLOT, np.int32), np.zeros((count, 3)), np.empty(0))
+        found = world.Found(
+            range_m=np.full(count, np.inf),
+            slot=np.full(count, NO_SLOT, np.int32),
+            normal=np.zeros((count, 3)),
+            cosine=np.empty(0),
+        )
         if count:
             seconds = np.zeros(count) if time_ns is None else (time_ns - self.zero_ns) / SECOND_NS
             self.check_span(float(seconds.min()), float(seconds.max()))

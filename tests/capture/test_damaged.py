@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import Datagram, write_pcap
 from lidarcfg.clouds.cloud import FIELDS, concatenate
 from lidarcfg.errors import PacketError
@@ -28,7 +28,7 @@ def sent(request, tmp_path_factory):
     path = tmp_path_factory.mktemp(request.param) / "a.pcap"
     (path.parent / "rig.yaml").write_text(RIG.format(request.param))
     rig = load_rig(path.parent / "rig.yaml")
-    write_pcap(path, in_time_order(simulated_frames(rig, load_scene(STREET), np.eye(4), 50_000_000, START_NS)))
+    write_pcap(path, in_time_order(simulated_packets(rig, load_scene(STREET), np.eye(4), 50_000_000, START_NS)))
     save_sidecar_files(path, rig.mounts)
     return path, rig.mounts[0].data_port, DAMAGES[request.param]
 

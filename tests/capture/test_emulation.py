@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from lidarcfg.capture import services
+from lidarcfg.capture import emulation_server
 from lidarcfg.capture.emulation import find_emulated
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.emulation_server import EmulationServer
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.replay import read_selected, repeat, replay
 from lidarcfg.capture.selection import ALL
-from lidarcfg.capture.services import Services
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import pose
 from lidarcfg.packets.emulator import RequestError
@@ -66,7 +66,7 @@ def exported(folder, *names, **changes):
     rig = load_rig({"name": "r", "sensors": mounts})
     path = folder / "a.pcap"
     street = load_scene(STREET)
-    write_pcap(path, in_time_order(simulated_frames(rig, street, pose((0, 0, 0), (0, 0, 0)), 100_000_000)))
+    write_pcap(path, in_time_order(simulated_packets(rig, street, pose((0, 0, 0), (0, 0, 0)), 100_000_000)))
     save_sidecar_files(path, rig.mounts)
     return path
 
@@ -112,7 +112,7 @@ def emulated(path, port=None):
     sensors = find_emulated(path, "127.0.0.1", port, ALL, running.warnings.append)
     ports = [(one.site.address, service) for one in sensors for service in one.emulator.services]
     by_host = {one.host: one.emulator for one in sensors}
-    with Services(ports, running.messages.append):
+    with EmulationServer(ports, running.messages.append):
         thread = threading.Thread(target=replay, args=(going(), "127.0.0.1", port, 1.0, by_host))
         thread.start()
         try:
@@ -138,6 +138,7 @@ def command(path, *words):
     assert process.returncode == 0, said
 
 
+@pytest.mark.slow
 @needs_port_80
 @pytest.mark.parametrize("firmware", ["v3.2.0", "v2.5.2"])  # which have other paths for the configuration
 def test_the_live_source_of_ouster_sdk(tmp_path, firmware):
@@ -170,6 +171,7 @@ def test_the_live_source_of_ouster_sdk(tmp_path, firmware):
     assert cKDTree(cloud.xyz).query(xyz)[0].max() < 1e-5
 
 
+@pytest.mark.slow
 @needs_port_80
 def test_settings_of_an_ouster(all_makers):
     """Through ouster-sdk: what a capture can follow is taken over, other settings are the sensor's error, and told."""
@@ -283,7 +285,7 @@ def closes(opened):
 )
 def test_clients_that_are_none(hesai, monkeypatch, sent, message):
     """Each loses its connection, which is told; others are answered all the while."""
-    monkeypatch.setattr(services, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(emulation_server, "PATIENCE_S", 0.3)
     with emulated(hesai) as running, socket.create_connection((HESAI, 9347), timeout=5) as bad:
         bad.settimeout(0.5)
         with contextlib.suppress(TimeoutError, ConnectionError):
@@ -295,7 +297,7 @@ def test_clients_that_are_none(hesai, monkeypatch, sent, message):
 
 
 def test_too_many_connections(hesai, monkeypatch):
-    monkeypatch.setattr(services, "CONNECTIONS_MAX", 2)
+    monkeypatch.setattr(emulation_server, "CONNECTIONS_MAX", 2)
     with emulated(hesai) as running, ptc() as first, ptc():
         with socket.create_connection((HESAI, 9347), timeout=5) as third:
             assert closes(third)

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.ethernet import ethernet_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.fragments import PENDING_MAX, TIMEOUT_NS, Fragment, Reassembly
-from lidarcfg.capture.frames import frames
-from lidarcfg.capture.pcap import Frames, read_datagrams, write_pcap
+from lidarcfg.capture.pcap import EthernetFrames, read_datagrams, write_pcap
 from lidarcfg.packets.codec import Payloads
-from lidarcfg.packets.facts import Header, Network
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import (
@@ -36,11 +36,11 @@ def sent(size, count=3, host="10.0.0.7"):
     """Payloads of random octets, and their frames."""
     data = np.random.default_rng(size).integers(0, 256, (count, size)).astype(np.uint8)
     times_ns = AT_NS + np.arange(count) * 1_000_000
-    return data, frames(host, Payloads(times_ns, data, 7502, NETWORK, HEADER, 65534))
+    return data, ethernet_frames(host, Payloads(times_ns, data, 7502, NETWORK, HEADER, 65534))
 
 
 def written(path, records):
-    write_pcap(path, [Frames(np.zeros(len(records), np.int64), records)])
+    write_pcap(path, [EthernetFrames(np.zeros(len(records), np.int64), records)])
     return path
 
 
@@ -171,7 +171,7 @@ def test_frames_in_any_order_are_no_lost_packets(model, tmp_path):
     (tmp_path / "rig.yaml").write_text(text)
     rig = load_rig(tmp_path / "rig.yaml")
     path = tmp_path / "a.pcap"
-    write_pcap(path, in_time_order(simulated_frames(rig, load_scene(STREET), np.eye(4), 150_000_000)))
+    write_pcap(path, in_time_order(simulated_packets(rig, load_scene(STREET), np.eye(4), 150_000_000)))
     save_sidecar_files(path, rig.mounts)
     points = decoded(path).xyz
     raw = path.read_bytes()
@@ -199,7 +199,7 @@ def test_a_lost_packet_among_late_ones(chunk, tmp_path):
     )
     rig = load_rig(tmp_path / "rig.yaml")
     path = tmp_path / "a.pcap"
-    write_pcap(path, in_time_order(simulated_frames(rig, load_scene(STREET), np.eye(4), 25_000_000)))
+    write_pcap(path, in_time_order(simulated_packets(rig, load_scene(STREET), np.eye(4), 25_000_000)))
     save_sidecar_files(path, rig.mounts)
     packets = datagrams_of(path)[:60]
     order = [i for i in range(60) if i not in (20, 30)]

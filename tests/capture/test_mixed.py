@@ -12,7 +12,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.replay import replay
 from lidarcfg.capture.selection import Selection
@@ -46,7 +46,7 @@ def sent(folder, rig, at=None):
     """A capture in the street with what readers need beside it, and the ground truth."""
     path = folder / "mixed.pcap"
     truth = []
-    streams = simulated_frames(
+    streams = simulated_packets(
         rig, load_scene(STREET), np.eye(4) if at is None else at, DURATION_NS, on_truth=truth.append
     )
     write_pcap(path, in_time_order(streams))
@@ -178,6 +178,7 @@ def test_deskewed_points_lie_on_the_street(rig, driven):
         assert np.quantile(distance(at_start[some]), 0.9) > 0.03
 
 
+@pytest.mark.slow
 def test_noise_is_that_of_the_ground_truth(rig, still, tmp_path):
     """Along each beam, whatever the maker: the point moves by the noise that the truth says, to half a step each."""
     noisy = replace(
@@ -318,6 +319,7 @@ def test_default_ports_are_the_makers(rig):
     assert ports["vlp-16"] == (2368, 8308)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["missing", "twice", "overlapping", "out of order"])
 def test_an_ousters_fragments(still, tmp_path, change):
     """One datagram of its nine-fragment packets is lost or told twice; no other packet of anybody changes."""
@@ -369,6 +371,7 @@ def test_metadata_of_another_sensor(still, tmp_path):
         list(decode_pcap(path, lambda warning: None))
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_capture(still, tmp_path):
     """The same packets three times as often: as much memory at most, of what Python and numpy take."""
     for one in still[0].parent.iterdir():

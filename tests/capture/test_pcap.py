@@ -47,6 +47,7 @@ def test_file_header(tmp_path):
     assert len(raw) == 24 + 16 + 1248
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 * 10**6 - 1))
 def test_times_are_exact(tmp_path_factory, microseconds):

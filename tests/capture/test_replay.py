@@ -122,6 +122,7 @@ def test_a_part_is_what_dpkt_finds_in_it(tmp_path):
     assert 20 < len(expected) < 40
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_loop_and_says_what_was_sent(tmp_path):
     path = tmp_path / "a.pcap"
     packet = dpkt.udp.UDP(sport=2368, dport=9, data=b"x" * 100, ulen=108)

@@ -81,6 +81,7 @@ def cut(path, name, low_s, high_s):
     return np.concatenate(keep)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("low_s", "high_s"), [(0, 0.5), (2.2, 2.3), (3.0, 3.0015), (3.9, math.inf), (0, 99)])
 def test_a_window_is_the_whole_cut(capture, full, low_s, high_s):
     """Also at its edges: the last block's azimuth comes from the packet after the window."""
@@ -102,6 +103,7 @@ def test_windows_side_by_side_are_the_whole(capture, full):
             np.testing.assert_array_equal(np.concatenate([part[name][key] for part in parts]), column)
 
 
+@pytest.mark.slow
 def test_chosen_sensors(capture):
     """By address or by mount; the others leave no trace, and the rig's numbers stay."""
     full = decoded(capture, rig=tilted_rig())
@@ -119,6 +121,7 @@ def test_chosen_sensors(capture):
     assert len(bare.xyz) == len(part.xyz)
 
 
+@pytest.mark.slow
 def test_what_is_before_a_window_is_passed_over(capture):
     """Whole pieces of the file, whatever their size; nothing from the window on is missing."""
     batches = list(read_batches(capture, no_warning))
@@ -132,6 +135,7 @@ def test_what_is_before_a_window_is_passed_over(capture):
             assert np.count_nonzero(found < from_ns) <= 2 * buffer / 1264 + 10  # a piece's, and of those out of order
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("magic", [0xA1B2C3D4, 0xA1B23C4D])
 @pytest.mark.parametrize("order", "<>")
 def test_records_are_found_in_the_middle_of_any_pcap(tmp_path, magic, order):

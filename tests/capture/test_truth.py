@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.ground_truth import TruthFile, load_objects
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate, load_cloud
@@ -37,7 +37,7 @@ def made(request, tmp_path_factory):
     save_rig(rig, folder / "rig.yaml")
     with TruthFile(folder / "t.npz", [mount.name for mount in rig.mounts], street.names) as truth:
         write_pcap(
-            folder / "a.pcap", in_time_order(simulated_frames(rig, street, np.eye(4), DURATION_NS, on_truth=truth.add))
+            folder / "a.pcap", in_time_order(simulated_packets(rig, street, np.eye(4), DURATION_NS, on_truth=truth.add))
         )
         save_sidecar_files(folder / "a.pcap", rig.mounts)
         truth.save()
@@ -52,6 +52,7 @@ def by_laser(sensor, ring, last, time_ns):
     return {key: sorted(rows, key=lambda row: time_ns[row]) for key, rows in found.items()}
 
 
+@pytest.mark.slow
 def test_each_point_has_one_record_and_each_record_one_point(made):
     folder, rig, mode = made
     with np.load(folder / "t.npz") as arrays:

@@ -9,7 +9,7 @@ import pytest
 
 from lidarcfg.capture import reader
 from lidarcfg.capture.decode import decode, decode_pcap
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import Datagram, write_pcap
 from lidarcfg.capture.selection import Selection
 from lidarcfg.errors import PacketError
@@ -33,7 +33,7 @@ def mixed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mixed")
     (folder / "rig.yaml").write_text(RIG)
     rig = load_rig(folder / "rig.yaml")
-    write_pcap(folder / "b.pcap", in_time_order(simulated_frames(rig, load_scene(STREET), np.eye(4), 20_000_000)))
+    write_pcap(folder / "b.pcap", in_time_order(simulated_packets(rig, load_scene(STREET), np.eye(4), 20_000_000)))
     found = datagrams_of(folder / "b.pcap")
     write_datagrams(folder / "a.pcap", [replace(one, host="192.168.1.201") for one in found])
     write_datagrams(folder / "alone.pcap", [one for one in found if one.host == "192.168.1.201"])

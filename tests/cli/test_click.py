@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 OLDEST = Path(sys.prefix) / "oldest-click"  # where tools/environment.sh puts it
 VERSIONS = "from importlib.metadata import version; import click, cloup; print(version('click'), version('cloup'))"

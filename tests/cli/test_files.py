@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from lidarcfg.cli.schemas import KINDS, schema
+from lidarcfg.cli.json_schemas import KINDS, schema
 from lidarcfg.cli.templates import KINDS as TEMPLATES
 from lidarcfg.cli.templates import vehicles, write_template
 from lidarcfg.config.document import Document
@@ -67,6 +67,7 @@ def kind_by_folder(path):
     return folders[path.parent.name]
 
 
+@pytest.mark.slow
 def test_every_file_that_comes_along_is_of_its_kind_and_keeps_its_schema(validators):
     assert len(FILES) > 40
     for path in FILES:
@@ -97,6 +98,7 @@ def test_a_schema_finds_what_our_reader_refuses(validators, file, change):
     assert list(validators[kind_by_folder(ROOT / file)].iter_errors(changed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TEMPLATES)
 def test_a_template_is_valid_with_and_without_what_is_optional(tmp_path, kind):
     (path,) = write_template(kind, tmp_path / "folder" / f"my-{kind}.yaml")
@@ -117,6 +119,7 @@ def test_a_template_is_valid_with_and_without_what_is_optional(tmp_path, kind):
     assert len(values(path)) + str(values(path)).count(":") > len(Document(text, "").value) + text.count("#")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", vehicles())
 def test_what_is_optional_in_a_study_with_a_vehicle_is_valid_too(tmp_path, name):
     study, _ = write_template("study", tmp_path / "study.yaml", name)
@@ -129,6 +132,7 @@ def test_what_is_optional_in_a_study_with_a_vehicle_is_valid_too(tmp_path, name)
     assert kept == [0.0] * 3  # a model, the other, none
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", vehicles())
 def test_a_study_begins_with_a_vehicle_and_can_be_searched(tmp_path, name):
     study, body = write_template("study", tmp_path / "study.yaml", name)
@@ -142,6 +146,7 @@ def test_a_study_begins_with_a_vehicle_and_can_be_searched(tmp_path, name):
     assert np.array_equal(load_study(own).upper, loaded.upper)
 
 
+@pytest.mark.slow
 def test_a_mesh_in_millimetres_makes_the_study_of_the_mesh_in_metres(tmp_path):
     """As CAD has it; but for a comment and the scale, the text is the same."""
     body = o3d.io.read_triangle_mesh(str(ROOT / "data/vehicles/truck.ply"))
@@ -172,6 +177,7 @@ def test_a_template_replaces_nothing(tmp_path):
         write_template("study", tmp_path / "other.yaml", "gone.ply")
 
 
+@pytest.mark.slow
 def test_files_are_summed_up(tmp_path):
     done = lidarcfg("validate", "data/studies/sedan.yaml", "data/rigs/roof.yaml", cwd=ROOT)
     assert done.stdout.splitlines() == [
@@ -250,6 +256,7 @@ def study(tmp_path, *changes, exclude="", constraints=""):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "exclude", "what"),
     [
@@ -390,6 +397,7 @@ def test_a_sensor_inside_the_body_that_its_rig_names_is_an_error_at_its_line(tmp
         assert line.startswith(f"lidarcfg: {path}:4:5: sensors[0]: a is inside the vehicle's 'body'; move it"), line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "more", "said", "code"),
     [

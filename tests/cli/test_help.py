@@ -124,6 +124,7 @@ printf '%s\\n' "${{COMPREPLY[@]}}"
     return done.stdout.split("\n")[:-1]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("bash"), reason="there is no bash")
 def test_a_real_bash(tmp_path):
     assert tab("lidarcfg opt", tmp_path) == ["optimize"]
@@ -143,6 +144,7 @@ def test_a_real_fish():
     assert done.stdout.splitlines() == ["puck-hi-res", "puck-lite"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_scripts(shell, tmp_path):
     done = subprocess.run(

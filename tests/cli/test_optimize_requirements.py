@@ -4,9 +4,12 @@ import csv
 import json
 
 import numpy as np
+import pytest
 
 from tests.command_line import lidarcfg
 from tests.search.test_requirements_search import CHOICE, SLIT
+
+pytestmark = pytest.mark.slow
 
 
 def test_exit_3_where_a_requirement_is_not_met(tmp_path, blank_pictures):

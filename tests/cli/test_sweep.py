@@ -23,16 +23,18 @@ from distributed import Client
 import lidarcfg
 from lidarcfg.errors import ConfigError
 from lidarcfg.report.sweep import SweepFolder
-from lidarcfg.search import plan as plans
+from lidarcfg.search import workers as workers_module
 from lidarcfg.search.cheapest import cheapest
 from lidarcfg.search.optimize import optimize
-from lidarcfg.search.plan import load_plan
 from lidarcfg.search.sweep import sweep
+from lidarcfg.search.sweep_plan import load_plan
 from lidarcfg.search.workers import Cluster, Processes
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.study import load_study
 from tests.command_line import lidarcfg as command
 from tests.search.test_requirements_search import CHOICE
+
+pytestmark = pytest.mark.slow
 
 BIN = Path(sys.executable).parent
 PLAN = Path(__file__).parents[1] / "search/studies/plan.yaml"
@@ -157,7 +159,7 @@ def test_a_worker_that_is_killed_is_replaced(plan, serial):
         sweep(loaded, loaded.runs, crew, done)
     finally:
         crew.close()
-    assert [str(found[n].found["cost"]) for n in range(1, 7)] == [row["cost"] for row in rows(serial)]
+    assert [str(found[n].figures["cost"]) for n in range(1, 7)] == [row["cost"] for row in rows(serial)]
 
 
 IDLE = """
@@ -276,7 +278,7 @@ def test_a_cluster_finds_the_same(plan, serial, cluster, tmp_path, monkeypatch):
     command("sweep", plan, "-o", tmp_path / "out", "--scheduler", cluster)
     assert rows(tmp_path / "out") == rows(serial)
     assert rigs(tmp_path / "out") == rigs(serial)
-    monkeypatch.setattr(plans, "version", lambda name: "9.9")
+    monkeypatch.setattr(workers_module, "version", lambda name: "9.9")
     line = one_line("sweep", plan, "-o", tmp_path / "none", "--scheduler", cluster)
     assert re.search(r"worker tcp://\S+ has numpy \S+, and this program 9.9; both must be the same", line)
     assert not list((tmp_path / "none").glob("runs/*"))

@@ -282,6 +282,7 @@ def test_an_array_that_lies(tmp_path, ring):
         load_cloud(tmp_path / "a.npz", no_warning)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
 def test_damaged_archives(tmp_path, compression):
     """Every byte of the first member turned, and the versions and flags of all."""
@@ -352,6 +353,7 @@ def test_ply_times_that_are_none(tmp_path, time_s):
         load_cloud(tmp_path / "a.ply", no_warning)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     st.sampled_from(["ply", "pcd", "npz"]), st.lists(st.tuples(st.integers(0, 700), st.integers(0, 255)), max_size=4)

@@ -15,6 +15,7 @@ def folder(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", USES)
 def test_any_file_is_an_error_or_an_answer(name, folder):
     @settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
@@ -27,6 +28,7 @@ def test_any_file_is_an_error_or_an_answer(name, folder):
     assert outcome(name, TEXTS[name], folder) == "an answer"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", USES)
 def test_every_number_of_a_file_made_odd(name, folder):
     """One at a time: every key of a good file that holds a number, and the second number of every list."""

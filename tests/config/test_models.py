@@ -32,6 +32,7 @@ def refusal(text: str) -> str:
     return str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -77,6 +78,7 @@ def test_json_is_yaml():
     assert loads('{"name": "a", "beams": {"elevation_deg": [0]}}', Sensor, "f.json").count == 1
 
 
+@pytest.mark.slow
 def test_errors_of_an_alias_bomb_end_soon():
     bomb = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 10))
     assert "too many" in refusal(bomb)

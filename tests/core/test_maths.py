@@ -27,6 +27,14 @@ def test_functions_are_the_systems_but_for_the_last_place(name):
     assert (abs(mapped(name, values) - expected) <= ULPS[name] * np.spacing(abs(expected))).all()
 
 
+@pytest.mark.parametrize("name", ["cos", "sin"])
+def test_cosines_and_sines_within_two_units_of_the_last_digit(name):
+    """Those of the C library, also at the very quarters."""
+    angles = np.concatenate([np.random.default_rng(4).uniform(-20, 20, 20_000), np.arange(-8, 9) * np.pi / 4])
+    expected = np.array([getattr(math, name)(angle) for angle in angles])
+    assert abs(mapped(name, angles) - expected).max() <= 2.5e-16
+
+
 def test_atan2_is_the_systems_but_for_the_last_place():
     points = np.random.default_rng(1).normal(size=(20_000, 2))
     expected = np.array([math.atan2(y, x) for y, x in points])

@@ -2,12 +2,12 @@
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from lidarcfg.core import returns, visibility, world
+from lidarcfg.core import returns, world
+from tests.core.records import replaced
 
 SIDE = np.array([[[0, -1, 0], [0, 1, 0], [0, 1, 2]], [[0, -1, 0], [0, 1, 2], [0, -1, 2]]], float)
 LOW = np.array([0.0, -1, 0])
@@ -15,15 +15,6 @@ HIGH = np.array([0.0, 1, 2])
 R = np.eye(3)[None]
 T = np.array([[0.0, 0, 1]])
 FIRINGS = np.radians([-10.0, 0.0, 10.0])
-
-
-class Obstacles(NamedTuple):
-    """What blocks beams."""
-
-    tree: world.Bvh
-    boxes: np.ndarray
-    origin_m: np.ndarray
-    ground_m: float
 
 
 def bvh(triangles):
@@ -36,7 +27,7 @@ def bvh(triangles):
 def obstacles(triangles=(), ground_m=math.inf):
     """Triangles and the ground."""
     tree = bvh(triangles)
-    return Obstacles(tree, visibility.boxes_of(tree), np.zeros(3), ground_m)
+    return world.Obstacles(tree, world.boxes_of(tree), np.zeros(3), ground_m)
 
 
 def scanner(phases=4, step_deg=1.0, **changes):
@@ -272,7 +263,7 @@ TWO = np.array([2, 2])
         (count_with(counts=np.zeros((4, 1, 3), np.int32)), "counts"),
         (count_with(counts=np.zeros((3, 1, 4), np.int32)), "counts"),
         (count_with(counts=np.zeros((4, 1, 4))), "counts"),
-        (count_with(obstacles=obstacles()._replace(origin_m=np.zeros(2))), "origin_m"),
+        (lambda: replaced(obstacles(), origin_m=np.zeros(2)), "origin_m"),
         (lambda: known(ends=(3,)), "ends"),
         (lambda: known(ends=()), "ends"),
         (lambda: known(ends=(5, 4)), "ends"),

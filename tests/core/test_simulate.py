@@ -1,58 +1,16 @@
 """Aiming, tracing of firings and merging of echoes in the core, on small cases."""
 
-import math
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from lidarcfg.core import simulate, world
+from tests.core.records import replaced
 
 NOW_NS = 1_700_000_000 * 10**9
 NO_SHAPES = np.empty((0, 9)), np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0, np.int32)
 BALL = [10.0, 0, 1, 2, 0, 0, 0, 0, 0]  # centre, radius
-
-
-class Rays(NamedTuple):
-    range_m: np.ndarray
-    reflectivity: np.ndarray
-    object: np.ndarray
-    cosine: np.ndarray
-    laser: np.ndarray
-
-
-class Surfaces(NamedTuple):
-    object: np.ndarray
-    reflectivity: np.ndarray
-
-
-class Lasers(NamedTuple):
-    cos_elevation: np.ndarray
-    sin_elevation: np.ndarray
-    cos_offset: np.ndarray
-    sin_offset: np.ndarray
-    forward_m: np.ndarray
-    left_m: np.ndarray
-    up_m: np.ndarray
-    across: np.ndarray
-    above: np.ndarray
-
-
-class Mounting(NamedTuple):
-    T_world_start: np.ndarray
-    path: world.Path
-    zero_ns: int
-    T_vehicle_sensor: np.ndarray
-
-
-class Firings(NamedTuple):
-    time_ns: np.ndarray
-    laser: np.ndarray
-    encoder_rad: np.ndarray
-    elevation_rad: np.ndarray = np.empty(0)
 
 
 def sphere(shape=BALL):
@@ -74,28 +32,34 @@ def lasers(elevation_deg, width=1):
     elevation = np.radians(np.array(elevation_deg, np.float64))
     zero = np.zeros(len(elevation))
     spread = np.linspace(-0.01, 0.01, width) if width > 1 else np.zeros(1)
-    return Lasers(np.cos(elevation), np.sin(elevation), zero + 1, zero, zero, zero, zero, spread, spread[::-1].copy())
+    return simulate.Lasers(
+        np.cos(elevation), np.sin(elevation), zero + 1, zero, zero, zero, zero, spread, spread[::-1].copy()
+    )
 
 
 def mounting(height_m=1.0, velocity_m_s=(0.0, 0.0, 0.0)):
     """A vehicle at the origin, whose sensor looks along x where its encoder is at 0, and then to the right."""
     T = np.eye(4)
     T[2, 3] = height_m
-    return Mounting(np.eye(4), world.path_of_velocity(velocity_m_s), NOW_NS, T)
+    return simulate.Mounting(np.eye(4), world.path_of_velocity(velocity_m_s), NOW_NS, T)
 
 
 def firings(encoder_deg, laser=0, after_ns=0):
     encoder = np.radians(np.array(encoder_deg, np.float64))
     columns = np.broadcast_arrays(NOW_NS + np.int64(after_ns), np.uint8(laser), encoder)
-    return Firings(
-        *(np.ascontiguousarray(one, kind) for one, kind in zip(columns, (np.int64, np.uint8, float), strict=True))
-    )
+    kinds = np.int64, np.uint8, float
+    ready = (np.ascontiguousarray(one, kind) for one, kind in zip(columns, kinds, strict=True))
+    return simulate.Firings(*ready, np.empty(0))
 
 
 def empty(count, width=1):
-    shape = count, width
     kinds = np.float64, np.uint8, np.int32, np.float64
-    return Rays(*(np.zeros(shape, kind) for kind in kinds), np.zeros(count, np.uint8))
+    return simulate.Hits(*(np.zeros((count, width), kind) for kind in kinds))
+
+
+def room(count, columns):
+    kinds = np.float64, np.uint8, np.int32
+    return simulate.Candidates(*(np.zeros((count, columns), kind) for kind in kinds))
 
 
 def arguments(fired, width=1, stage=None, bodies=None, **changed):
@@ -106,7 +70,7 @@ def arguments(fired, width=1, stage=None, bodies=None, **changed):
     given = {
         "world": stage,
         "bodies": bodies,
-        "surfaces": Surfaces(
+        "surfaces": simulate.Surfaces(
             np.minimum(np.arange(-1, slots - 1, dtype=np.int32), 2), np.array([0, 30, 50, 70], np.uint8)
         ),
         "lasers": lasers([0.0, -30.0], width),
@@ -125,11 +89,6 @@ def traced(*words, **changed):
     return given["hits"]
 
 
-@given(st.floats(-1000, 1000))
-def test_cosines_and_sines(angle_rad):
-    assert simulate.cos_sin(angle_rad) == pytest.approx((math.cos(angle_rad), math.sin(angle_rad)), rel=0, abs=3e-14)
-
-
 def test_beams_hit_the_sphere_the_ground_or_nothing():
     found = traced(firings([0, 0, 90], [0, 1, 0]))
     assert found.range_m.ravel() == pytest.approx([8, 2, np.inf])
@@ -145,7 +104,7 @@ def test_beams_with_elevations_of_their_own():
     laser = rng.integers(0, 2, 400)
     found = traced(firings(head_deg, laser))
     own = firings(head_deg, rng.integers(0, 2, 400))
-    own = own._replace(elevation_rad=np.arcsin(lasers([0, -30]).sin_elevation)[laser])
+    own = replaced(own, elevation_rad=np.arcsin(lasers([0, -30]).sin_elevation)[laser])
     np.testing.assert_allclose(traced(own).range_m, found.range_m, rtol=1e-9)
     assert 0 < np.isfinite(found.range_m).sum() < 400
 
@@ -180,7 +139,7 @@ def test_rays_of_wide_beams_are_those_of_thin_ones(velocity_m_s):
         runs = list(pool.map(lambda _: traced(fired, 9, stage=stage, bodies=bodies), range(3)))
     for k in range(9):
         both = lasers([0.0, -30.0], 9)
-        thin = both._replace(across=both.across[k : k + 1], above=both.above[k : k + 1])
+        thin = replaced(both, across=both.across[k : k + 1], above=both.above[k : k + 1])
         alone = traced(fired, stage=stage, bodies=bodies, lasers=thin)
         for whole in runs:
             for key in ("range_m", "reflectivity", "object", "cosine"):
@@ -197,7 +156,7 @@ def test_wild_times_and_angles():
 
 def test_times_from_the_first_to_the_last_there_is():
     stage = scene(sphere(), (0.0, 0.0, 0.0))
-    fired = firings([0, 0, 0])._replace(time_ns=np.array([-(2**63), 0, 2**63 - 1]))
+    fired = replaced(firings([0, 0, 0]), time_ns=np.array([-(2**63), 0, 2**63 - 1]))
     assert traced(fired, stage=stage).range_m.ravel() == pytest.approx([8, 8, 8])
 
 
@@ -207,22 +166,24 @@ FIRED = firings([90, 0])
 @pytest.mark.parametrize(
     ("argument", "value", "message"),
     [
-        ("firings", FIRED._replace(laser=np.array([0, 2], np.uint8)), "firings.laser: one of the lasers"),
-        ("firings", FIRED._replace(laser=np.zeros(1, np.uint8)), "firings.laser: one for each time"),
-        ("firings", FIRED._replace(encoder_rad=np.zeros(3)), "firings.encoder_rad: one for each time"),
-        ("firings", FIRED._replace(encoder_rad=np.zeros(2, np.float32)), "firings.encoder_rad: float32 of shape"),
-        ("firings", FIRED._replace(elevation_rad=np.zeros(1)), "firings.elevation_rad: one for each time, or none"),
+        ("firings", replaced(FIRED, laser=np.array([0, 2], np.uint8)), "firings.laser: one of the lasers"),
+        ("firings", replaced(FIRED, laser=np.zeros(1, np.uint8)), "firings.laser: one for each time"),
+        ("firings", replaced(FIRED, encoder_rad=np.zeros(3)), "firings.encoder_rad: one for each time"),
+        ("firings", replaced(FIRED, elevation_rad=np.zeros(1)), "firings.elevation_rad: one for each time, or none"),
         ("lasers", lasers([0.0], 3), "lasers.across: one or nine"),
-        ("lasers", lasers([0.0])._replace(up_m=np.zeros(2)), "lasers.up_m: one for each laser"),
-        ("surfaces", Surfaces(np.zeros(4, np.int32), np.zeros(2, np.uint8)), "surfaces.object: of nothing, the ground"),
+        ("lasers", replaced(lasers([0.0]), up_m=np.zeros(2)), "lasers.up_m: one for each laser"),
         (
             "surfaces",
-            Surfaces(np.full(3, 1, np.int32), np.zeros(2, np.uint8)),
+            simulate.Surfaces(np.zeros(4, np.int32), np.zeros(2, np.uint8)),
+            "surfaces.object: of nothing, the ground",
+        ),
+        (
+            "surfaces",
+            simulate.Surfaces(np.full(3, 1, np.int32), np.zeros(2, np.uint8)),
             "surfaces.object: those of surfaces.refl",
         ),
         ("hits", empty(3), "hits.range_m: one for each ray"),
-        ("hits", empty(2)._replace(cosine=np.zeros((1, 1))), "hits.cosine: one for each ray, or none"),
-        ("hits", empty(2)._replace(object=np.broadcast_to(np.int32(0), (2, 1))), "hits.object: int32 of shape"),
+        ("hits", replaced(empty(2), cosine=np.zeros((1, 1))), "hits.cosine: one for each ray, or none"),
     ],
 )
 def test_refusals_of_tracing(argument, value, message):
@@ -230,9 +191,19 @@ def test_refusals_of_tracing(argument, value, message):
         traced(FIRED, **{argument: value})
 
 
-def test_a_mounting_is_a_matrix():
-    with pytest.raises(TypeError, match=r"mounting\.T_vehicle_sensor: not of shape"):
-        traced(FIRED, mounting=mounting()._replace(T_vehicle_sensor=np.eye(3)))
+@pytest.mark.parametrize(
+    ("struct", "changed", "message"),
+    [
+        (FIRED, {"encoder_rad": np.zeros(2, np.float32)}, "encoder_rad: float32 of shape"),
+        (empty(2), {"object": np.broadcast_to(np.int32(0), (2, 1))}, "object: int32 of shape"),
+        (mounting(), {"T_vehicle_sensor": np.eye(3)}, r"T_vehicle_sensor: .* allowed: .*shape=\(4, 4\)"),
+        (mounting(), {"path": sphere()}, "path: of type .*Bvh; allowed: .*Path"),
+        (mounting(), {"zero_ns": 0.5}, "zero_ns: not an integer, but float"),
+    ],
+)
+def test_structs_are_of_what_fits(struct, changed, message):
+    with pytest.raises(TypeError, match=f"^{message}"):
+        replaced(struct, **changed)
 
 
 def merged(range_m, which=range(6), **changed):
@@ -240,7 +211,7 @@ def merged(range_m, which=range(6), **changed):
     range_m = np.array(range_m, np.float64)
     shape = range_m.shape
     columns = len(which)
-    rays = Rays(
+    rays = simulate.SubRays(
         range_m,
         np.full(shape, 50, np.uint8),
         np.ones(shape, np.int32),
@@ -256,7 +227,7 @@ def merged(range_m, which=range(6), **changed):
         "droplets": np.empty((0, 2)),
         "fade": np.empty((0, 0)),
         "which": np.array(which, np.uint8),
-        "out": empty(len(range_m), columns),
+        "out": room(len(range_m), columns),
     }
     given |= changed
     simulate.merge_echoes(**given)
@@ -287,9 +258,9 @@ def test_rain_before_everything_else():
         ({"weights": np.empty(0)}, "weights: at least one"),
         ({"weights": np.ones(2)}, "rays.range_m: a column for each weight"),
         ({"which": np.array([6], np.uint8)}, "which: below six"),
-        ({"out": empty(2, 6)}, "out.range_m: one for each firing and of which"),
-        ({"droplets": np.ones((1, 2))}, "droplets: two for each firing"),
-        ({"fade": np.ones((1, 1))}, "droplets: two for each firing"),
+        ({"out": room(2, 6)}, "out.range_m: one for each firing and of which"),
+        ({"droplets": np.ones((1, 2))}, "droplets: one for each firing"),
+        ({"fade": np.ones((1, 1))}, "droplets: one for each firing"),
         ({"fade": np.ones((1, 1)), "droplets": np.ones((1, 2))}, "fade: one for each ray and one more"),
     ],
 )

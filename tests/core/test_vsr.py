@@ -1,17 +1,16 @@
 """Grids, links, subspaces and trials of the core, on small cases worked out by hand."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.core import visibility, vsr, world
+from lidarcfg.core import vsr, world
+from tests.core.records import replaced
 
 NO_INDEX = np.empty(0, np.int32)
 NO_TREE = world.Bvh(np.empty((0, 9)), np.empty(0, np.uint8), NO_INDEX, NO_INDEX)
-FREE = SimpleNamespace(tree=NO_TREE, boxes=visibility.boxes_of(NO_TREE), origin_m=np.zeros(3), ground_m=np.inf)
+FREE = world.Obstacles(tree=NO_TREE, boxes=world.boxes_of(NO_TREE), origin_m=np.zeros(3), ground_m=np.inf)
 NONE = np.zeros((0, 9))
 
 
@@ -41,7 +40,7 @@ def links_of(grid, rows, seen=None):
 
 
 def sight(limits=NONE, **obstacles):
-    return SimpleNamespace(limits=limits, obstacles=SimpleNamespace(**vars(FREE) | obstacles))
+    return vsr.Sight(limits=limits, obstacles=replaced(FREE, **obstacles))
 
 
 LEVEL = cones(((1.5, 1.5, 1.0), 0.0))  # one beam along the ground between the two layers
@@ -50,26 +49,25 @@ LEVEL = cones(((1.5, 1.5, 1.0), 0.0))  # one beam along the ground between the t
 def batch_of(grid, trials, **changes):
     """Trials (n, lidars, columns) of LiDARs that all moved, and room for what becomes of them."""
     n, lidars, _ = trials.shape
-    batch = SimpleNamespace(
-        placed=SimpleNamespace(cones=trials, limits=np.zeros((n, 0, 9)), obstacles=FREE),
-        upper_bound=np.full(n, np.inf),
-        moved=np.ones((n, lidars), bool),
-        source=np.zeros(n, np.int64),
-        certificates=np.full((n, 4), -1),
-        links=np.empty((0, lidars, grid.rows, 3), np.uint64),
-        same_position=np.zeros((n, lidars), bool),
-        clear=np.empty((0, lidars, grid.rows), np.uint64),
-        smoothing=0.0,
-    )
-    vars(batch).update(changes)
-    result = SimpleNamespace(
+    given = {
+        "placed": vsr.Placed(cones=trials, limits=np.zeros((n, 0, 9)), obstacles=FREE),
+        "upper_bound": np.full(n, np.inf),
+        "moved": np.ones((n, lidars), bool),
+        "source": np.zeros(n, np.int64),
+        "certificates": np.full((n, 4), -1),
+        "links": np.empty((0, lidars, grid.rows, 3), np.uint64),
+        "same_position": np.zeros((n, lidars), bool),
+        "clear": np.empty((0, lidars, grid.rows), np.uint64),
+        "smoothing": 0.0,
+    }
+    result = vsr.BatchResult(
         cost=np.zeros(n),
         refuted_by=np.zeros(n, np.int64),
         certificates=np.full((n, 4), -1),
         links=np.empty((0, grid.rows, 3), np.uint64),
         clear=np.empty((0, grid.rows), np.uint64),
     )
-    return batch, result
+    return vsr.Batch(**given | changes), result
 
 
 def evaluator_of(grid, cases=((True,),)):
@@ -171,10 +169,10 @@ def test_trials_are_evaluated_and_refuted_by_the_subspaces_of_certificates():
 def test_links_of_sources_are_computed_where_they_changed():
     grid = grid_of(np.ones((3, 3, 2), bool))
     links = np.zeros((2, 1, grid.rows, 3), np.uint64)
-    placed = SimpleNamespace(cones=LEVEL[None], limits=np.zeros((1, 0, 9)), obstacles=FREE)
+    placed = vsr.Placed(cones=LEVEL[None], limits=np.zeros((1, 0, 9)), obstacles=FREE)
     flag = np.ones((1, 1), bool)
-    sources = SimpleNamespace(row=np.array([1]), placed=placed, changed=flag, same_position=~flag, links=links)
-    sources.clear = np.empty((0, 1, grid.rows), np.uint64)
+    clear = np.empty((0, 1, grid.rows), np.uint64)
+    sources = vsr.Sources(row=np.array([1]), placed=placed, changed=flag, same_position=~flag, links=links, clear=clear)
     counter = np.zeros(1, np.int64)
     evaluator_of(grid).recompute_links(counter, 5, sources)
     assert counter[0] == 2  # the first number that is none
@@ -189,8 +187,8 @@ def test_counters_of_what_is_no_trial():
     batch, result = batch_of(grid, LEVEL[None])
     links = np.zeros((1, 1, grid.rows, 3), np.uint64)
     flag = np.ones((1, 1), bool)
-    sources = SimpleNamespace(row=np.zeros(1, int), placed=batch.placed, changed=flag, same_position=~flag, links=links)
-    sources.clear = np.empty((0, 1, grid.rows), np.uint64)
+    clear = np.empty((0, 1, grid.rows), np.uint64)
+    sources = vsr.Sources(np.zeros(1, int), batch.placed, flag, ~flag, links, clear)
     for number in (-(2**63), -1, 1, 2**63 - 1):
         counter = np.array([number])
         assert evaluator.evaluate_batch(counter, 5, batch, True, result) == (0, 0, 0)
@@ -223,7 +221,7 @@ def test_what_does_not_fit_is_refused():
         "label: of the grid's": lambda: vsr.label_components(grid, links_of(grid, LEVEL), np.empty((1, 1, 1), np.int32)),
         "links: for each row": lambda: vsr.label_components(grid, links_of(grid, LEVEL)[1:], np.empty((3, 3, 2), np.int32)),
         "links: not of neighbours": lambda: vsr.label_components(grid, np.full((grid.rows, 3), 2**64 - 1, np.uint64), np.empty((3, 3, 2), np.int32)),
-        "nine columns": lambda: vsr.seen(grid, LEVEL, sight(np.zeros((1, 8)))),
+        "limits: float64 of shape": lambda: vsr.seen(grid, LEVEL, sight(np.zeros((1, 8)))),
         "a row for each LiDAR": lambda: vsr.seen(grid, np.repeat(LEVEL, 2, 0), sight(np.zeros((1, 9)))),
         "boxes": lambda: vsr.seen(grid, LEVEL, sight(np.zeros((1, 9)), boxes=np.zeros((6, 3)))),
         "tree": lambda: vsr.seen(grid, LEVEL, sight(np.zeros((1, 9)), tree=None)),
@@ -238,8 +236,8 @@ def test_what_does_not_fit_is_refused():
 
 def placed_by(boxes):
     """LEVEL among obstacles that other boxes hold."""
-    obstacles = SimpleNamespace(**vars(FREE) | {"boxes": boxes})
-    return SimpleNamespace(cones=LEVEL[None], limits=np.zeros((1, 0, 9)), obstacles=obstacles)
+    obstacles = replaced(FREE, boxes=boxes)
+    return vsr.Placed(cones=LEVEL[None], limits=np.zeros((1, 0, 9)), obstacles=obstacles)
 
 
 @pytest.mark.parametrize(
@@ -252,7 +250,7 @@ def placed_by(boxes):
         ("upper_bound: one for each", {"upper_bound": np.zeros(2)}),
         ("moved: a flag", {"moved": np.ones((1, 2), bool)}),
         ("links: of each LiDAR", {"links": np.zeros((1, 1, 2, 3), np.uint64)}),
-        ("placed.obstacles.boxes: neither", {"placed": placed_by(np.zeros((6, 3)))}),
+        ("obstacles.boxes: neither", {"placed": placed_by(np.zeros((6, 3)))}),
     ],
 )
 def test_batches_that_do_not_fit_are_refused(what, changes):

@@ -184,6 +184,7 @@ def test_a_cloud_there_and_back(here):
         assert abs(arrays["xyz"] - cloud().xyz).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_capture_by_the_command(tmp_path):
     """The whole trip with the real exit codes; a full disk in a process of its own."""
     run = partial(lidarcfg, cwd=tmp_path)

@@ -15,9 +15,9 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import Datagram, write_pcap
-from lidarcfg.capture.scans import Head, scans
+from lidarcfg.capture.revolutions import Head, revolutions
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConversionError, PacketError
 from lidarcfg.io.bag import save_bag, save_mcap
@@ -39,7 +39,7 @@ def named_rig() -> Rig:
 def capture(tmp_path_factory):
     """Three and a half revolutions of two VLP-16 in the street."""
     path = tmp_path_factory.mktemp("capture") / "a.pcap"
-    write_pcap(path, in_time_order(simulated_frames(named_rig(), load_scene(STREET), np.eye(4), DURATION_NS)))
+    write_pcap(path, in_time_order(simulated_packets(named_rig(), load_scene(STREET), np.eye(4), DURATION_NS)))
     return path
 
 
@@ -98,6 +98,7 @@ def written(way: str, capture, folder, rig=None, model=None, on_warning=lambda w
     return messages
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["sqlite3", "mcap-bag", "mcap"])
 def test_points_and_places_are_those_that_decode_merges(capture, tmp_path, way):
     rig = named_rig()
@@ -178,7 +179,7 @@ def test_the_mcap_file_is_ros_2_and_indexed(capture, tmp_path):
 
 def test_a_message_is_a_scan(capture):
     found = defaultdict(list)
-    for scan in scans(capture, no_warning, named_rig()):
+    for scan in revolutions(capture, no_warning, named_rig()):
         found[scan.sensor_names[0]].append(scan)
     decoded = concatenate(list(decode_pcap(capture, no_warning, named_rig())))
     for i, (name, rpm) in enumerate((("left", 600), ("right.2", 660))):
@@ -198,13 +199,14 @@ def test_a_message_is_a_scan(capture):
             assert before.time_ns.max() < after.time_ns.min()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [1, 5, 100])
 def test_scans_whatever_the_chunks(capture, chunk):
     def ordered(found):
         return sorted(found, key=lambda scan: (scan.sensor_names, scan.time_ns[0]))
 
-    whole = ordered(scans(capture, no_warning))
-    parts = ordered(scans(capture, no_warning, chunk_packets=chunk))
+    whole = ordered(revolutions(capture, no_warning))
+    parts = ordered(revolutions(capture, no_warning, chunk_packets=chunk))
     for one, other in zip(whole, parts, strict=True):
         assert one.sensor_names == other.sensor_names
         assert (one.xyz == other.xyz).all()
@@ -229,7 +231,7 @@ def test_scans_of_real_recordings_by_a_plain_loop(name):
                 there = block[at] or block[at + 1]
                 twin = dual and b % 2 == 1 and block[at : at + 3] == blocks[b - 1][at : at + 3]
                 counts[-1] += bool(there and not twin)
-    messages = list(scans(path, lambda warning: None))
+    messages = list(revolutions(path, lambda warning: None))
     assert len(counts) > 1
     assert [len(scan.xyz) for scan in messages] == counts
 
@@ -316,6 +318,7 @@ def spoilt(capture, path):
     write_datagrams(path, datagrams)
 
 
+@pytest.mark.slow
 def test_whole_or_not_at_all(capture, tmp_path):
     spoilt(capture, tmp_path / "bad.pcap")
     save_bag(tmp_path / "bag", capture, "sqlite3", named_rig(), None, lambda warning: None)

@@ -94,6 +94,7 @@ def test_las_and_back(tmp_path, suffix):
     assert abs(again.xyz - back.xyz).max() < 2e-9
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(*[st.floats(-2e5, 2e5)] * 3), min_size=1, max_size=20),
     st.tuples(*[st.floats(-1e8, 1e8)] * 3),
@@ -160,6 +161,7 @@ def test_the_same_cloud_gives_the_same_bytes(tmp_path):
         assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
 
 
+@pytest.mark.slow
 def test_every_way_between_clouds(tmp_path):
     """All formats hold positions and intensities; what is kept depends on the poorer of the two."""
     ours = timed()
@@ -184,6 +186,7 @@ def test_every_way_between_clouds(tmp_path):
                 assert back.sensor_names == ours.sensor_names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 def test_a_full_disk_is_one_line(tmp_path, suffix):
     """As the system has it: no file may grow beyond a size. lazrs raises an error of its own for that."""
@@ -348,6 +351,7 @@ def test_odd_kitti_files(tmp_path):
         load_kitti(tmp_path / "none.bin", lambda warning: None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 def test_odd_las_files(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"

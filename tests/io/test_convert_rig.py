@@ -17,9 +17,9 @@ from urdf_parser_py.urdf import URDF
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.io.carla import carla
-from lidarcfg.io.kits.frames import ros_name
 from lidarcfg.io.launch import launch
 from lidarcfg.io.nuscenes import nuscenes
+from lidarcfg.io.ros_names import ros_name
 from lidarcfg.io.urdf import urdf
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig

@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.geometry import transform
-from lidarcfg.io.messages import ros_store
+from lidarcfg.io.ros_messages import ros_store
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.viewer.contents import load_contents
 from lidarcfg.world.scene import load_scene
@@ -99,6 +99,7 @@ def sensor_pose(folder, name):
     return next(mount.T_vehicle_sensor for mount in load_rig(folder / "rig.yaml").mounts if mount.name == name)
 
 
+@pytest.mark.slow
 def test_each_point_has_the_object_that_it_is_on(scene, world):
     names, time_ns, xyz = world
     assert set(names) == set(LABELS)
@@ -167,6 +168,7 @@ def matrix(translation, rotation):
     return T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("output", "version"), [("bag", 2), ("a.mcap", 2), ("a.bag", 1)])
 def test_bags(folder, output, version):
     """Points, /tf and boxes: a box holds its object's points, as they stand in the message, by 3 ms of its motion."""
@@ -236,6 +238,7 @@ def judge(name, monkeypatch, *absent):
         return importlib.import_module(name)
 
 
+@pytest.mark.slow
 def test_kitti_odometry(folder, world, monkeypatch):
     """pykitti loads both sequences; points, moved by its poses and calibration, are those of the world."""
     path = exported(folder, "odometry", "--to", "kitti-odometry")

@@ -23,6 +23,7 @@ boxes: [{name: wall, center_m: [10.5, 0, 2], size_m: [1, 40, 4], reflectivity: 4
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a.pcap", "a.ply"])
 @pytest.mark.parametrize("loaded", [True, False])
 def test_it_is_what_the_command_writes(tmp_path, name, loaded):
@@ -40,6 +41,7 @@ def test_it_is_what_the_command_writes(tmp_path, name, loaded):
     assert (ours / name).stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_a_capture_is_one_cloud(tmp_path):
     """That which the command decodes, in the frames of the vehicle or of the sensors."""
     lidarcfg.export(RIG, STREET, tmp_path / "a.pcap", duration_s=0.02, at=np.diag([-1.0, -1, 1, 1]))
@@ -94,6 +96,7 @@ def paths():
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moved", paths(), ids=["stands", "line", "arc", "keys", "arrays"])
 def test_a_manifest_of_what_is_in_no_file_says_all_that_reading_it_needs(tmp_path, moved):
     """Whatever is given: deskewed, each point is where the trajectory itself puts it."""

@@ -64,6 +64,7 @@ def ns(stamp):
     return stamp.sec * 10**9 + stamp.nanosec
 
 
+@pytest.mark.slow
 def test_a_bag_with_ground_truth(folder):
     """Points are the packets', as the makers' drivers have them; objects, boxes and poses are those of the scene."""
     done = lidarcfg("convert", "a.pcap", "--truth", "a.npz", "-o", "a.mcap", cwd=folder)

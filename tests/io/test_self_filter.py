@@ -17,7 +17,7 @@ from lidarcfg.simulate.scans import beam_ends
 from lidarcfg.world.vehicle import load_vehicle
 from tests.capture_fixtures import mount
 from tests.io.test_convert_rig import turned
-from tests.io.test_kits import here, run  # noqa: F401
+from tests.io.test_rig_importers import here, run  # noqa: F401
 
 ROOT = Path(__file__).parents[2]
 SEDAN = ROOT / "data/vehicles/sedan.ply"
@@ -45,6 +45,7 @@ def test_the_window_by_hand(tmp_path):
     assert free_window_deg(ahead, wall(tmp_path)) == (300.0, 60.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("model", ["vlp-16", "os1-64", "hdl-64e-s2"])
 def test_no_beam_in_the_window_meets_the_body(model, seed):
@@ -101,6 +102,7 @@ def test_the_box_holds_the_body(here):  # noqa: F811
     assert values["input_frame"] == "base_link"
 
 
+@pytest.mark.slow
 def test_windows_of_a_rig(here):  # noqa: F811
     rig = ROOT / "data/rigs/mixed.yaml"
     done = run(rig, "--vehicle", SEDAN, "--to", "azimuth-windows", "-o", "w.json")

@@ -37,18 +37,6 @@ def largest_cluster(points, tolerance_m, above_m):
     return largest
 
 
-def worst_cluster(points, tolerance_m, above_m, lost=0):
-    """Of a place's points by sensor and phase: the least largest cluster over cases of failure and all joint phases."""
-    left = range(len(points))
-    worst = math.inf
-    for gone in combinations(left, lost):
-        kept = [points[s] for s in left if s not in gone]
-        for phases in product(*(range(len(one)) for one in kept)):
-            joined = [point for one, phase in zip(kept, phases, strict=True) for point in one[phase]]
-            worst = min(worst, largest_cluster(joined, tolerance_m, above_m))
-    return worst
-
-
 def distance_m(polygon, other):
     """Between the outlines of two polygons (n, 2), corner by corner against side by side; for such as do not meet."""
     found = math.inf

@@ -3,12 +3,15 @@
 Decoding leaves these firings out; encoding takes them all, and gives the recorded packets again.
 """
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from lidarcfg.capture.reader import Recording
+from lidarcfg.capture.pcap import read_batches
+from lidarcfg.capture.source_finder import SourceFinder
 from lidarcfg.geometry import Array, Bytes, Times
+from lidarcfg.packets.codec import PacketSource
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai import Hesai
 from lidarcfg.packets.hesai import layout as hesai_layout
@@ -23,6 +26,33 @@ from lidarcfg.packets.velodyne import layout as velodyne_layout
 from lidarcfg.packets.velodyne import model as velodyne_model
 from lidarcfg.packets.velodyne.decode import returned
 from lidarcfg.sensors.firing import Firings
+from lidarcfg.sensors.sensor import Sensor
+
+
+class Recording(NamedTuple):
+    """All packets of one flow, in the order of the capture."""
+
+    name: str  # host:port
+    source: PacketSource
+    sensor: Sensor
+    packets: Bytes  # (P, size)
+    host_ns: Times  # (P,)
+
+
+def recordings(path: Path, model: str | None = None) -> list[Recording]:
+    """The flows of a capture, each with all of its packets in memory, as they were captured."""
+    finder = SourceFinder(path, lambda warning: None, model=model)
+    parts = {}
+    for batch in read_batches(path, lambda warning: None):
+        found, numbers = finder.lidar(batch)
+        for flow, mine in finder.by_flow(numbers):
+            parts.setdefault(flow, []).append(found[mine])
+    out = []
+    for flow, batches in parts.items():
+        packets = np.concatenate([batch.payloads(flow.size) for batch in batches])
+        host_ns = np.concatenate([batch.time_ns for batch in batches])
+        out.append(Recording(flow.name, finder.source(flow), finder.sensor(flow, packets[:16]), packets, host_ns))
+    return out
 
 
 class Measured(NamedTuple):
@@ -57,7 +87,7 @@ def usual_mode(modes: np.ndarray) -> np.ndarray:
     return modes == values[counts.argmax()]
 
 
-def velodyne(unit: velodyne_model.Unit, packets: np.ndarray, host_ns: Times) -> Measured:
+def velodyne(unit: velodyne_model.VelodyneUnit, packets: np.ndarray, host_ns: Times) -> Measured:
     """The head turns evenly from each block's azimuth to the next one's. Packets (P,) are of one mode."""
     dual = bool(velodyne_model.is_dual(unit.packet, packets)[0])
     schedule = unit.firing_schedule(dual)

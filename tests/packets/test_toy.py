@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import simulated_frames
+from lidarcfg.capture.export import simulated_packets
 from lidarcfg.capture.pcap import read_datagrams
 from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import concatenate, load_cloud
@@ -108,13 +108,13 @@ def test_what_the_family_refuses(tmp_path, columns):
     text = RIG.replace("data_port: 4000", "return_mode: dual")
     (tmp_path / "rig.yaml").write_text(text)
     with pytest.raises(ConfigError, match="left: sensor 'toy-4' has no dual returns"):
-        simulated_frames(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
+        simulated_packets(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
     (tmp_path / "toy.yaml").write_text(SENSOR.replace("columns: 10", "columns: many"))
     with pytest.raises(ConfigError, match=r"toy\.yaml:6:7: toy\.columns: 'many'"):
-        simulated_frames(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
+        simulated_packets(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
     (tmp_path / "toy.yaml").write_text(SENSOR.replace("toy:", "tyo:").replace("codec: toy", "codec: tyo"))
     with pytest.raises(ConfigError, match=r"no codec is called 'tyo'; allowed: .*toy, velodyne"):
-        simulated_frames(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
+        simulated_packets(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
 
 
 def test_the_page_shows_its_lines():

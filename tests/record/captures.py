@@ -120,7 +120,7 @@ def _mixed(folder: Path) -> Answers:
     answers = exported(folder, rig, scene("block"), 0.1, at=AT, trajectory=INPUTS / "trajectory.yaml")
     package.export(rig, scene("hills"), folder / "b.pcap", 0.05, on_warning=quiet, trajectory=INPUTS / "trajectory.tum")
     answers |= named("deskewed", cloud_of(package.decode(folder / "b.pcap", rig, on_warning=quiet, deskew=True)))
-    for number, scan in enumerate(package.scans(folder / "b.pcap", quiet, rig)):
+    for number, scan in enumerate(package.revolutions(folder / "b.pcap", quiet, rig)):
         answers |= named(f"scan {number}", cloud_of(scan))
     return answers
 
@@ -186,5 +186,5 @@ if CAPTURES:
             model = RECORDINGS[name] and sensor(RECORDINGS[name])
             clouds = list(package.decode_pcap(path, quiet, model=model))
             answers = cloud_of(package.concatenate(clouds))
-            lengths = [len(scan.xyz) for scan in package.scans(path, quiet, model=model)]
+            lengths = [len(scan.xyz) for scan in package.revolutions(path, quiet, model=model)]
             return answers | {"scans": np.array(lengths)}

@@ -16,10 +16,10 @@ from lidarcfg import (
     pattern,
 )
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import simulated_frames as packets
-from lidarcfg.capture.scans import scans
+from lidarcfg.capture.export import simulated_packets as packets
+from lidarcfg.capture.revolutions import revolutions
 from lidarcfg.clouds.cloud import concatenate, load_cloud
-from lidarcfg.core import view
+from lidarcfg.core import viewer
 from lidarcfg.geometry import pose
 from lidarcfg.report.inputs import report_inputs
 from lidarcfg.returns.counts import returns
@@ -38,7 +38,7 @@ from lidarcfg.world.tracer import NO_OBSTACLES, Tracer
 from lidarcfg.world.vehicle import load_vehicle
 from tests.visibility_cases import seen_cuboids
 
-fill = view.blend_triangles
+fill = viewer.blend_triangles
 
 __all__ = [
     "NO_OBSTACLES",
@@ -71,9 +71,9 @@ __all__ = [
     "pose",
     "report_inputs",
     "returns",
+    "revolutions",
     "rig_lidars",
     "rig_of",
-    "scans",
     "seen_cuboids",
     "segment",
     "sensor_poses",

@@ -5,6 +5,8 @@ import pytest
 from tests.record.answers import load_record, record_of
 from tests.record.cases import CASES, RECORDING
 
+pytestmark = pytest.mark.slow
+
 RECORD = load_record()
 
 

@@ -9,6 +9,8 @@ import pytest
 
 from tests.reliability.commands import MARKS, ROOT, run
 
+pytestmark = pytest.mark.slow
+
 FIRST = MARKS[0]
 READS = {  # by suffix, the commands that read such a file
     "-rig.yaml": ("view {0} --png o.png", f"evaluate {FIRST}.yaml {{0}}", "convert {0} -o o.urdf"),

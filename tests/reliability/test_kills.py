@@ -20,6 +20,8 @@ from tests.reliability.commands import (
     typed,
 )
 
+pytestmark = pytest.mark.slow
+
 
 def both(folder, command):
     """What a command writes for each mark, how long it takes, and in how many steps; the first mark's files are left."""

@@ -10,6 +10,8 @@ import pytest
 
 from tests.reliability.commands import run
 
+pytestmark = pytest.mark.slow
+
 NAMES = {
     "a script": "<script>alert(1)</script>",
     "an attribute": "\"' onmouseover=alert(1) x='\"",

@@ -7,6 +7,8 @@ import pytest
 
 from tests.reliability.commands import MARKS, clear, contents, leftovers, run, typed
 
+pytestmark = pytest.mark.slow
+
 MESSAGE = 400  # bytes that a command must be able to say, on a disk however full
 
 

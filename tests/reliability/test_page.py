@@ -14,6 +14,8 @@ import pytest
 
 from lidarcfg.sensors.rig import load_rig
 
+pytestmark = pytest.mark.slow
+
 RIG = "name: r\nsensors:\n" + "".join(
     f"  - {{name: {name}, model: vlp-16, position_m: [0, {y}, 1.9]}}\n" for name, y in (("left", 1), ("right", -1))
 )

@@ -76,6 +76,7 @@ def sources(part):
         yield from sources(one)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", catalogue())
 def test_each_source_of_the_catalogue_is_printed(name, capsys):
     print_sensor(load_sensor(name))

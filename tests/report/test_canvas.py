@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.report.canvas import drawing, number_places, spread
-from lidarcfg.report.plots import draw_rig
+from lidarcfg.report.drawings import draw_rig
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.study import load_study
@@ -67,5 +67,4 @@ def test_the_drawing_of_a_rig_has_the_body_and_not_its_cuboids():
         for axis, column in ((across, 0), (up, 1)):
             assert drawn[:, column].min() == pytest.approx(vertices[:, axis].min())
             assert drawn[:, column].max() == pytest.approx(vertices[:, axis].max())
-        grey = axes.images[0].get_array()
-        assert not grey[..., 3].any()
+        assert len(axes.images) == 1  # of the worst subspace

@@ -9,8 +9,8 @@ import pytest
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.report.comparison import comparison, comparison_dict, comparison_table, contenders, print_comparison
-from lidarcfg.report.document import Commands
 from lidarcfg.report.inputs import report_inputs
+from lidarcfg.report.rig_report import Commands
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.study import load_study
@@ -18,6 +18,8 @@ from lidarcfg.vsr.extrapolation import Extrapolated
 from lidarcfg.vsr.spheres import largest_spheres
 from tests.command_line import lidarcfg
 from tests.report.test_report import STUDY, read
+
+pytestmark = pytest.mark.slow
 
 OBJECTS = "detection:\n  - {name: box, size_m: [1, 1, 0.5]}\n  - {name: '<i>&', size_m: [1, 1, 2], on_ground: true}\n"
 RIG = "name: {name}\nsensors:\n"

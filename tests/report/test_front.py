@@ -4,17 +4,19 @@ import csv
 import json
 import re
 
-import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.report.describe import price
-from lidarcfg.report.front import draw_front, load_front_logs, save_front_log
+from lidarcfg.report.front import draw_front, save_front_progress
+from lidarcfg.report.search_log import load_log
 from lidarcfg.search.front import front
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.study import load_study, with_solver
 from tests.command_line import lidarcfg, without_drawing
+
+pytestmark = pytest.mark.slow
 
 STUDY = """region: {min_m: [0, 0, 0], max_m: [8, 6, 3], cuboid_m: [1, 0.5, 0.5]}
 prices: {fan-4: 100, fan-8: 250, fan-16: 900}
@@ -106,26 +108,18 @@ def test_other_commands_take_the_study(folder):
     assert "midpoint of the study's bounds" not in (folder / "evaluated/report.html").read_text()
 
 
-def test_a_log_is_resumed_and_what_is_none_is_refused(tmp_path):
+def test_a_log_is_resumed_and_that_of_another_search_refused(tmp_path):
     (tmp_path / "study.yaml").write_text(STUDY)
     study = load_study(tmp_path / "study.yaml")
     found = front(with_solver(study, evaluations=1100), threads=2)
-    save_front_log(study, found.logs, tmp_path)
-    logs = load_front_logs(study, tmp_path, 5)
-    assert [[log.cost.tolist() for log in one] for one in logs] == [
-        [log.cost.tolist() for log in one] for one in found.logs
-    ]
+    save_front_progress(study, found.log, tmp_path)
+    resumed = front(study, threads=2, log=load_log(study, tmp_path))
+    whole = front(study, threads=2)
+    assert [one.evaluations for one in resumed.candidates] == [one.evaluations for one in whole.candidates]
+    rigs = [[point.placement.rig for point in each.points] for each in (resumed, whole)]
+    assert rigs[0] == rigs[1]
     with pytest.raises(ConfigError, match=r"search.npz: is of another search; study, solver and seed must be the same"):
-        load_front_logs(with_solver(study, seed=4), tmp_path, 5)
-    for told in (np.array([5, 6]), np.array([-1, len(logs[0][0].cost)]), np.array([1.5])):
-        arrays = {"cost": logs[0][0].cost, "told": told, "owner": told, "seconds": np.ones(len(told)), "asked": "x"}
-        np.savez(tmp_path / "search.npz", **arrays)
-        with pytest.raises(ConfigError, match=r"search.npz: is not the log of a search for a front"):
-            load_front_logs(study, tmp_path, 5)
-    for key in arrays:
-        np.savez(tmp_path / "search.npz", **{name: array for name, array in arrays.items() if name != key})
-        with pytest.raises(ConfigError, match=r"search.npz: is not the log of a search for a front"):
-            load_front_logs(study, tmp_path, 5)
+        load_log(with_solver(study, seed=4), tmp_path)
     lidarcfg("optimize", "study.yaml", "--resume", "nowhere", code=2, cwd=tmp_path)
 
 

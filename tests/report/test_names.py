@@ -3,10 +3,11 @@
 import json
 
 import numpy as np
+import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from lidarcfg.report.plots import draw_rig
-from lidarcfg.report.tables import volumes_line
+from lidarcfg.report.blind_spots import volumes_table
+from lidarcfg.report.drawings import draw_rig
 from lidarcfg.report.text import summarize, truncate
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
@@ -42,6 +43,7 @@ def test_a_short_name_stays_and_a_long_one_keeps_its_ends():
     assert truncate(LONG["left"] + "1") != truncate(LONG["left"] + "2")
 
 
+@pytest.mark.slow
 def test_a_drawing_holds_long_names(tmp_path):
     """By matplotlib's own measures; it warns, which is an error here, of axes for which texts leave no room."""
     folder = folder_with(tmp_path)
@@ -56,6 +58,7 @@ def test_a_drawing_holds_long_names(tmp_path):
     assert all((one.p0 >= 0).all() and (one.p1 <= np.array(figure.bbox.size)).all() for one in extents)
 
 
+@pytest.mark.slow
 def test_tables_are_short_and_files_whole(tmp_path):
     folder = folder_with(tmp_path)
     found = lidarcfg("evaluate", "study.yaml", "rig.yaml", "-o", "out", cwd=folder)
@@ -80,7 +83,7 @@ def test_of_many_sensors_the_first_are_listed(tmp_path):
     texts = [text.get_text() for text in draw_rig(study, rig, found).axes[0].get_legend().get_texts()]
     assert texts == [*(f"s{i}" for i in range(8)), "and 4 more"]
     assert summarize(texts) == texts
-    volumes = volumes_line(found.seen_by_m3)
-    assert volumes.startswith(f"volume by the number of LiDARs that see it: 0: {found.seen_by_m3[0]:.2f} m³ (")
-    assert f", 4 or more: {found.seen_by_m3[12]:.2f} m³ (" in volumes
-    assert ", 5: " not in volumes
+    rows = volumes_table(found.seen_by_m3).texts
+    assert [row[0] for row in rows] == ["0", "1", "2", "3", "4 or more"]
+    assert rows[0][1] == f"{found.seen_by_m3[0]:.2f}"
+    assert rows[4][1] == f"{found.seen_by_m3[12]:.2f}"

@@ -12,13 +12,13 @@ import pytest
 from lidarcfg.errors import ConfigError
 from lidarcfg.report.comparison import contenders, save_comparison
 from lidarcfg.report.describe import date, describe_constraints
-from lidarcfg.report.document import Commands
 from lidarcfg.report.drawings import least_detected
 from lidarcfg.report.evaluation import bounds_table, mounts_table
 from lidarcfg.report.inputs import report_inputs
 from lidarcfg.report.plots import draw_convergence
+from lidarcfg.report.printing import print_evaluation
 from lidarcfg.report.results import save_evaluation, save_placement
-from lidarcfg.report.tables import print_evaluation
+from lidarcfg.report.rig_report import Commands
 from lidarcfg.report.text import truncate
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig
@@ -26,6 +26,8 @@ from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.study import load_study
 from tests.chromium import LACKING, asked_for, browser, complaints
 from tests.command_line import lidarcfg
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
 NAMES = [
@@ -54,12 +56,10 @@ SECTIONS = [
     "search",
     "worst",
     "robust",
-    "sizes",
     "blind",
     "detection",
     "coverage",
     "trust",
-    "skipped",
     "repeat",
 ]
 
@@ -176,14 +176,13 @@ def test_the_page_says_what_result_json_says(runs):
         f"{bar['max_vsr_m']:.6f} ± {bar['error_m']:.6f} m",
         f"the largest of {result['subspaces']:,} subspaces",
         f"{result['skipped']['full_evaluations']:,} of",
-        f"{result['skipped']['cuboids']:,} of",
         "2026-01-01 00:00 UTC",
         "lidarcfg <typed>",
         "lidarcfg again",
         f"numpy {np.__version__}",
         "open3d",
     ]
-    said += [f"{rate:.2%}" for rate in result["detection"].values()]
+    said += [f"{rate:.4f}" for rate in result["detection"].values()]
     said += [f"{worst['vsr_m']:.4f} {worst['volume_m3']:.2f}" for worst in result["worst"]]
     for words in said:
         assert words in page.words, words
@@ -242,10 +241,9 @@ def test_an_evaluation_without_objects(tmp_path):
     bar = shown.evaluation.extrapolated
     assert "names no objects" in page.words
     assert "No search was run" in page.words
-    assert "Nothing: the rig was evaluated once, in full." in page.words
     assert "written from Python" in page.words
     assert bar.cuboid_m == [0.25, 0.125, 0.0625]
-    assert f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m" in page.words
+    assert f"{bar.max_vsr_m:.6f} ± {bar.error_m:.6f} m" in page.words
 
 
 def test_no_error_bar_where_it_would_cost_too_much(tmp_path, blank_pictures):
@@ -255,7 +253,6 @@ def test_no_error_bar_where_it_would_cost_too_much(tmp_path, blank_pictures):
     save_evaluation(bare, rig, shown, tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
     assert shown.evaluation.extrapolated is None
-    assert "not computed" in page.words
     assert "was not extrapolated" in page.words
     assert "midpoint of the study's bounds" not in page.words
 
@@ -316,7 +313,7 @@ def test_in_a_browser(runs):
             })"""
         assert driver.execute_script(outside) == []
         drawn = driver.execute_script("return document.querySelectorAll('figure svg').length")
-        assert drawn == 8
+        assert drawn == 7
 
 
 def test_no_angle_is_minus_nothing(tmp_path, capsys):

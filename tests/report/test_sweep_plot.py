@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from lidarcfg.report.sweep import draw_sweep
-from lidarcfg.search.plan import load_plan
+from lidarcfg.search.sweep_plan import load_plan
 
 STUDY = (Path(__file__).parents[1] / "search/studies/plan.yaml").read_text().partition("vary:")[0]
 COSTS = {(1, 1): (5, 1, 3), (1, 2): (4, 4, 1), (2, 1): (9, None, 7), (2, 2): (2, 2, 2)}  # model, count → by seed

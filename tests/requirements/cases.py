@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from lidarcfg.requirements.object_requirement import ObjectJudge, ObjectRequirement
-from lidarcfg.requirements.place_counts import reached
+from lidarcfg.requirements.object_judge import ObjectJudge, ObjectRequirement
 from lidarcfg.returns.known import lowest_at
-from lidarcfg.returns.places import Stand, Zone
+from lidarcfg.returns.places import Stand, StandZone
+from lidarcfg.returns.reach import reached
 from lidarcfg.returns.target import box_target
 from lidarcfg.world.footprint import Footprint
 from tests.returns_cases import box, mount
@@ -23,7 +23,7 @@ ALL = 1 << 20  # a cap that nothing reaches
 def requirement(within_m=(0.3, 2.5), size_m=(0.5, 0.5, 1.0), headings_deg=(0,), **changes):
     """A box around BODY."""
     target = box_target(size_m)
-    zone = Zone(Footprint.of(BODY), within_m)
+    zone = StandZone(Footprint.of(BODY), within_m)
     stand = Stand(zone, Footprint.of(target.mesh), np.radians(headings_deg), 0.0, None)
     return ObjectRequirement(
         **{"name": "box", "target": target, "stand": stand, "returns": 10, "obstacles": AROUND} | changes

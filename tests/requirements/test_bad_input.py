@@ -133,6 +133,7 @@ def test_a_model_without_a_price(tmp_path):
     assert "right: 'os0-32' has no price, which 'a' needs; prices has vlp-16" in said
 
 
+@pytest.mark.slow
 def test_heights_and_radians_are_warned_of(tmp_path):
     path = study(tmp_path, "object: {size_m: [1, 1, 1]}, within_m: [2, 3], returns: 1, headings_deg: [0, 1.5708]")
     said = "headings_deg: 1.5708 looks like 90° in radians; give degrees"

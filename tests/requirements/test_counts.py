@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from lidarcfg.requirements.place_counts import reached
 from lidarcfg.returns.counts import returns
 from lidarcfg.returns.known import KnownReturns, Standing, lowest_at, shares, united
+from lidarcfg.returns.reach import reached
 from lidarcfg.returns.scanners import poses_of, scanners_of
 from lidarcfg.returns.target import Target
 from tests.naive import requirements as naive

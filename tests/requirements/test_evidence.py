@@ -10,21 +10,23 @@ import pytest
 from lidarcfg.report.evidence import draw_map
 from lidarcfg.report.verdict import remarks, verdict_table
 from lidarcfg.report.verification import margins_table
-from lidarcfg.requirements.margins import OFF_M, OFF_RAD, MountMargins
-from lidarcfg.requirements.object_requirement import CAP_MAX, ObjectJudge
-from lidarcfg.requirements.place_counts import reached
+from lidarcfg.requirements.evidence import OFF_M, OFF_RAD, MountMargins
+from lidarcfg.requirements.object_judge import CAP_MAX, ObjectJudge
 from lidarcfg.requirements.post import PostJudge, PostRequirement
-from lidarcfg.requirements.post_visibility import PostPlaces
 from lidarcfg.requirements.shadow import ShadowJudge
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.known import lowest_at
+from lidarcfg.returns.post_visibility import PostPlaces
+from lidarcfg.returns.reach import reached
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.study import load_study
 from lidarcfg.world.footprint import Footprint
 from tests.command_line import lidarcfg
 from tests.requirements.cases import ALL, AROUND, BODY, random_rig, requirement
 from tests.returns_cases import mount
+
+pytestmark = pytest.mark.slow
 
 STUDY = """
 region: {min_m: [-10, -10, 0], max_m: [10, 10, 4], cuboid_m: [1, 1, 1]}
@@ -143,12 +145,14 @@ def test_margins_are_those_of_rigs_without_a_sensor_and_with_one_moved(changes):
     def value(rig, lost=item.lost):
         """What the position that decides has, exact below the cap."""
         fresh = ObjectJudge(replace(item, lost=lost))
-        measured = fresh.measured_at(places, rig, CAP_MAX) if item.at_least == 1 else fresh.measured(rig, CAP_MAX)
+        measured = (
+            fresh.reach.measured_at(places, rig, CAP_MAX) if item.at_least == 1 else fresh.reach.measured(rig, CAP_MAX)
+        )
         least = {}
         for (x, y), count in zip(measured.places[:, :2].tolist(), measured.values.tolist(), strict=True):
             least[x, y] = min(least.get((x, y), count), count)
         best = sorted(least.values(), reverse=True)
-        return min(best[math.ceil(item.at_least * len(best)) - 1], judge.first_cap)
+        return min(best[math.ceil(item.at_least * len(best)) - 1], item.first_cap)
 
     reached_in_all = ObjectJudge(item).judge(mounts).reached
     assert min(found.whole, found.cap) == min(reached_in_all, found.cap) == value(mounts)
@@ -189,7 +193,7 @@ def test_margins_of_posts_and_of_the_shadow_are_those_of_rigs_judged_anew(tmp_pa
         alone = [judged(replace(item, lost=0), without(mounts, n)) for n in range(3)]
         assert found.breaking == tuple(mounts[n].name for n in range(3) if not alone[n].passed)
     limits = [replace(post, gap_at_most_m=None), replace(post, first_seen_at_most_m=None), shadow]
-    margins = [*PostJudge(post).margins(mounts), shadow.margins(mounts)]
+    margins = [*PostJudge(post).margins(mounts), ShadowJudge(shadow).margins(mounts)]
     for item, found in zip(limits, margins, strict=True):
         assert found.whole == pytest.approx(judged(item, mounts).reached)
         for n in range(3):
@@ -220,7 +224,7 @@ def test_a_post_that_one_sensor_alone_sees_breaks_with_it(tmp_path):
 def test_what_is_never_seen_is_nothing_but_a_gap():
     """A rig that looks over all posts misses a limit of gaps alone, too."""
     posts = PostPlaces.around(Footprint.of(BODY), 0.0, (0.0, 2.0))
-    item = PostRequirement("post", posts, 0.3, None, 0.3, 2.0, AROUND)
+    item = PostRequirement("post", posts, 0.3, None, 0.3, AROUND)
     high = (mount("vlp-16", (0.0, 0.0, 3.0), (0, 0, 0)),)
     judge = PostJudge(item)
     found = judge.judge(high)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from lidarcfg.returns.places import Stand, Zone
+from lidarcfg.returns.places import Stand, StandZone
 from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.meshes import join_meshes
 from tests.naive import requirements as naive
@@ -69,7 +69,7 @@ def test_a_zone_holds_the_places_at_its_distances(item, within_m):
     distance_m = body.to_objects_m(item, places)
     expected = (distance_m > 0) & (distance_m >= within_m[0]) & (distance_m <= within_m[1])
     assert 0.02 < expected.mean() < 0.9
-    assert (Stand(Zone(body, within_m), item, np.zeros(1), 0.0).holds(places) == expected).all()
+    assert (Stand(StandZone(body, within_m), item, np.zeros(1), 0.0).holds(places) == expected).all()
     assert (body.are_beside(*within_m, item, places) == (distance_m > within_m[0]) & (distance_m <= within_m[1])).all()
     assert item.inner_radius_m <= np.linalg.norm(np.concatenate(item.outlines_m), axis=1).min()
 
@@ -97,7 +97,7 @@ def test_an_upright_plane_has_a_footprint():
 def test_places_are_where_they_are_allowed():
     """Distances, the sector and the spacing of the base grid, place by place."""
     body = Footprint.of(BAR)
-    zone = Zone(body, (0.5, 7.0), (math.radians(-30), math.radians(60)))
+    zone = StandZone(body, (0.5, 7.0), (math.radians(-30), math.radians(60)))
     stand = Stand(zone, OBJECT, np.radians([0.0, 90.0]), 0.0)
     places = stand.base
     distance = stand.distance_m(places)
@@ -115,7 +115,7 @@ def test_places_are_where_they_are_allowed():
     ahead = [np.mean([place[1] > 0 for place in one]) for one in some.values()]  # spread: half of them on either side
     assert ahead == pytest.approx([np.mean(places[:, 1] > 0)] * 2, abs=0.04)
     assert len(stand.thinned(len(places))) == len(places)
-    inside = Zone(body, box_m=(np.array([3.0, -1.0]), np.array([5.0, 1.0])))
+    inside = StandZone(body, box_m=(np.array([3.0, -1.0]), np.array([5.0, 1.0])))
     boxed = Stand(inside, OBJECT, np.radians([0.0, 90.0]), 0.0, 0.25).base
     reach = np.where(boxed[:, 3] == 0, 0.2, 0.1)
     assert (boxed[:, 0] - reach).min() >= 3.0 - 1e-9

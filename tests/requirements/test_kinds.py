@@ -9,8 +9,8 @@ import jsonschema
 import numpy as np
 import pytest
 
-from lidarcfg.cli.schemas import schema
-from lidarcfg.requirements.kinds import KINDS
+from lidarcfg.cli.json_schemas import schema
+from lidarcfg.requirements.file import KINDS
 from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 from tests.requirements.toy_kind import ApartKind
@@ -53,6 +53,7 @@ def files(tmp_path):
     return write
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("least_m", "said"), [(0.5, "PASS"), (0.6, "FAIL")])
 def test_verify_judges_by_it(toy, files, tmp_path, least_m, said):
     """The sensors of the rig are 0.3 m and 0.4 m apart along two axes: 0.5 m."""
@@ -69,6 +70,7 @@ def test_verify_judges_by_it(toy, files, tmp_path, least_m, said):
     assert page.count("map around the vehicle") == 1  # the crate's
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("least_m", "meets"), [(1.5, True), (2.5, False)])
 def test_optimize_searches_for_it(toy, files, tmp_path, least_m, meets):
     """The corners of the sensors' bounds are √(1.8² + 0.8² + 0.4²) = 2.01 m apart."""

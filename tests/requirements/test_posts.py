@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.requirements.post_visibility import STEP_M, PostPlaces, post_visibility
+from lidarcfg.returns.post_visibility import STEP_M, PostPlaces, post_visibility
 from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.tracer import NO_OBSTACLES
 from tests.returns_cases import box, mount
@@ -25,7 +25,7 @@ def cones(*elevation_deg):
 def test_a_post_is_seen_where_a_cone_is_between_its_ends():
     """A post of 0.5 m meets the cone at -20° from 1.5 / tan 20° to 2 / tan 20° from the axis, plus half its width."""
     posts = PostPlaces.around(BODY, 0.0, (0.0, 8.0))
-    seen = post_visibility(posts, 0.5, cones(-20.0), NO_OBSTACLES, limit_m=8.0)
+    seen = post_visibility(posts, 0.5, cones(-20.0), NO_OBSTACLES)
     first, last = (height / math.tan(math.radians(20)) for height in (1.5, 2.0))
     assert seen.first_seen_m[0] == pytest.approx(first - 1.0, abs=STEP_M + 0.05)
     assert seen.longest_gap_m[0] == pytest.approx(9.0 - last, abs=2 * STEP_M + 0.05)

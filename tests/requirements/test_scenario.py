@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from lidarcfg import core
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
-from lidarcfg.requirements import scenario_run
-from lidarcfg.requirements.approach import Approach, VehicleExtent
-from lidarcfg.requirements.braking import COMFORT, EMERGENCY, Braking
-from lidarcfg.requirements.scenario_file import ScenarioFile, load_scenario, presets
-from lidarcfg.requirements.scenario_run import Rule, ScenarioRun, check_scenario, drive_of, needed
-from lidarcfg.requirements.sight import earliest_sight, places_within
+from lidarcfg.requirements.scenarios import run as scenario_run
+from lidarcfg.requirements.scenarios.approach import COMFORT, EMERGENCY, Approach, Braking, VehicleExtent
+from lidarcfg.requirements.scenarios.file import ScenarioFile, load_scenario, presets
+from lidarcfg.requirements.scenarios.run import Rule, ScenarioRun, check_scenario, drive_of, needed
+from lidarcfg.requirements.scenarios.sight import earliest_sight, places_within
 from lidarcfg.returns.counts import LOW_M
 from lidarcfg.returns.target import ObjectFile
 from lidarcfg.sensors.rig import Rig
@@ -166,7 +165,7 @@ def exported(one, mounts, vehicle, duration_ns, frame_ns):
     """(frames, sensors) the records of the target in an export of the drive."""
     records = []
     drive = drive_of(one, mounts, vehicle)
-    streams = simulated_frames(
+    streams = simulated_packets(
         Rig("r", tuple(mounts)), one.scene, drive.trajectory, duration_ns, on_truth=records.append, vehicle=vehicle
     )
     assert sum(len(some.records) for some in in_time_order(streams)) > 0
@@ -178,6 +177,7 @@ def exported(one, mounts, vehicle, duration_ns, frame_ns):
     return counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "models", "speed_km_h", "rpms"),
     [
@@ -212,6 +212,7 @@ def test_frames_are_an_exports(name, models, speed_km_h, rpms, sedan):
     assert clustered.shortfall >= found.shortfall or found.shortfall > 0
 
 
+@pytest.mark.slow
 def test_skipping_beams_changes_nothing(sedan, monkeypatch):
     """All beams are fired: the same returns."""
     scenario = load_scenario("cpnco")
@@ -266,6 +267,7 @@ def test_points_are_on_the_target(sedan, monkeypatch):
     assert checked > 1000
 
 
+@pytest.mark.slow
 def test_all_presets_are_whole(sedan, request):
     """Each is read, says where it is from, and is checked at a speed: ahead and behind always, all by night."""
     names = set(presets())
@@ -284,6 +286,7 @@ def test_all_presets_are_whole(sedan, request):
         assert found.worst.worst.margin_s <= found.worst.sight_margin_s
 
 
+@pytest.mark.slow
 def test_a_mesh_is_a_target(sedan):
     """The child of data/objects instead of the box, which is larger: fewer returns, at the same place."""
     scenario = load_scenario("cpra-child")

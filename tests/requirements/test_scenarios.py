@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.report.plots import save_figure
@@ -63,6 +63,7 @@ def judged(files, *changes):
     return study.requirements.items[0], found
 
 
+@pytest.mark.slow
 def test_the_verdict_in_seconds(files):
     """The left sensor sees the child earlier: without it the margin is that of the right one alone."""
     both, found = judged(files)
@@ -73,10 +74,10 @@ def test_the_verdict_in_seconds(files):
     lost, without = judged(files, ("[50]", "[50], lost: 1"))
     assert (without.lost, without.margin < found.margin) == (("left",), True)
     mounts = load_rig(files / "rig.yaml").mounts
-    alone = both.check(mounts[1:]).result
+    alone = both.result(mounts[1:])
     assert without.margin == pytest.approx(alone.worst.worst.margin_s)
     assert ("left" in found.breaking) == (without.margin < 0)
-    assert lost.check(mounts).result.worst.sight_margin_s >= alone.worst.sight_margin_s
+    assert lost.result(mounts).worst.sight_margin_s >= alone.worst.sight_margin_s
     place = found.worst  # 50 km/h: 13.9 · 0.3 + 13.9² / 16 = 16.2 m ahead, 1.17 s or 1.62 m right of the middle
     assert (place.x_m, place.y_m, place.heading_deg) == (
         pytest.approx(2.4 + 16.2, abs=0.05),
@@ -85,6 +86,7 @@ def test_the_verdict_in_seconds(files):
     )
 
 
+@pytest.mark.slow
 def test_what_no_rig_can_do(files):
     """Comfortably, the child comes into sight too late, from all places that are tried, which proves nothing; and nothing
     is said of it where a rig does it all the same.
@@ -103,6 +105,7 @@ def test_what_no_rig_can_do(files):
     assert late not in found.notes
 
 
+@pytest.mark.slow
 def test_more_is_demanded(files):
     """More returns, or of one cluster, come later; another target, smaller, too."""
     _, plain = judged(files)
@@ -150,13 +153,14 @@ def test_mistakes(files, wrong, said):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["{size_m: [0.711, 0.298, 1.154]}", "child"])
 def test_the_files_of_a_drive(files, target):
     """Exported from its files, the worst run has the same returns in each frame; the plot shows all cases."""
     (files / "short.yaml").write_text(SHORT.replace("{size_m: [0.711, 0.298, 1.154]}", target))
     item, _ = judged(files)
     mounts = load_rig(files / "rig.yaml").mounts
-    found = item.check(mounts).result
+    found = item.result(mounts)
     run = found.worst.worst
     written = save_drive(run, mounts, item.vehicle, files / "drive")
     assert (written.detected_s, written.last_s) == (run.detected_s, run.last_s)
@@ -164,7 +168,7 @@ def test_the_files_of_a_drive(files, target):
     scene = load_scene(written.scene)
     motion = Trajectory(np.eye(4), load_path(written.trajectory), START_NS)
     records = []
-    streams = simulated_frames(
+    streams = simulated_packets(
         rig, scene, motion, 23 * SECOND_NS // 10, on_truth=records.append, vehicle=rig_vehicle(rig)
     )
     for _ in in_time_order(streams):
@@ -179,3 +183,4 @@ def test_the_files_of_a_drive(files, target):
     (line,) = (line for line in figure.axes[0].lines if line.get_label() == "detected")
     assert run.approach.lead_s - line.get_xdata()[0] == pytest.approx(run.detected_s)
     save_figure(figure, files / "plot.png")
+    assert {"1", "10", "100"} <= {label.get_text() for label in figure.axes[0].get_yticklabels()}

@@ -11,13 +11,13 @@ import pytest
 import shapely
 
 from lidarcfg.geometry import pose, transform
-from lidarcfg.requirements.object_requirement import ObjectJudge, ObjectRequirement
-from lidarcfg.requirements.place_counts import reached
+from lidarcfg.requirements.object_judge import ObjectJudge, ObjectRequirement
 from lidarcfg.requirements.post import PostJudge, PostRequirement
-from lidarcfg.requirements.post_visibility import STEP_M, PostPlaces
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.known import lowest_at
-from lidarcfg.returns.places import Stand, Zone
+from lidarcfg.returns.places import Stand, StandZone
+from lidarcfg.returns.post_visibility import STEP_M, PostPlaces
+from lidarcfg.returns.reach import reached
 from lidarcfg.returns.silhouettes import MOST, Core, Silhouettes, centres_of
 from lidarcfg.returns.target import box_target
 from lidarcfg.search.optimize import optimize
@@ -26,7 +26,7 @@ from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.meshes import join_meshes
 from lidarcfg.world.scene import build_scene
 from lidarcfg.world.scene_file import SceneFile
-from lidarcfg.world.tracer import NO_OBSTACLES, Obstacles, build_bvh
+from lidarcfg.world.tracer import NO_OBSTACLES, build_bvh, obstacles_of
 from tests.requirements.cases import AROUND, BODY
 from tests.returns_cases import at_place, box, mount
 from tests.simulate.test_returns import obstacles
@@ -58,7 +58,7 @@ def bar(at_m, size_m, rpy_rad):
 def requirement(size_m, within_m, **changes):
     """A box around BODY."""
     target = box_target(size_m)
-    stand = Stand(Zone(Footprint.of(BODY), within_m), Footprint.of(target.mesh), np.zeros(1), 0.0)
+    stand = Stand(StandZone(Footprint.of(BODY), within_m), Footprint.of(target.mesh), np.zeros(1), 0.0)
     return ObjectRequirement(
         **{"name": "box", "target": target, "stand": stand, "returns": 3, "obstacles": AROUND} | changes
     )
@@ -100,7 +100,7 @@ def brute_force(item, mounts, around, step_m):
     reach_m = 3 + item.stand.zone.within_m[1]
     ticks = np.arange(-reach_m, reach_m, step_m)
     places = item.stand.standing(np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2))
-    lowest = lowest_at(places, item.target, mounts, around, 20, item.wanted)
+    lowest = lowest_at(places, item.target, mounts, around, 20, 9)
     return int(reached(lowest.counts, item.lost, item.sensors).min())
 
 
@@ -145,7 +145,7 @@ def sphere_and_cylinder():
     cylinder = {"name": "pole", "reflectivity": 9, "base_m": (-1.3, 0.2, 0.1), "radius_m": 0.1, "height_m": 1.6}
     scene = build_scene(SceneFile(name="round", spheres=(sphere,), cylinders=(cylinder,)), Path())
     around_m = np.array([1.0, 2.0, 3.0])
-    return scene.mesh(1e-4), Obstacles.of(build_bvh(scene, np.ones(2, bool), around_m), around_m)
+    return scene.mesh(1e-4), obstacles_of(build_bvh(scene, np.ones(2, bool), around_m), around_m)
 
 
 @pytest.mark.parametrize("bodies", [box_and_bars, sphere_and_cylinder])
@@ -180,7 +180,7 @@ def test_an_antenna_hides_an_object(fan):
     """None of the base grid's places is hidden, and one in the antenna's shadow is: by Open3D, at all azimuths."""
     mounts, mesh = antenna(fan)
     judge = ObjectJudge(requirement((0.1, 0.1, 1.0), (6, 12), obstacles=obstacles(mesh)))
-    assert judge.measured(mounts, 100).values.min() > 0
+    assert judge.reach.measured(mounts, 100).values.min() > 0
     found = judge.judge(mounts)
     assert found.reached == 0
     assert not found.passed
@@ -203,8 +203,10 @@ def test_an_antenna_hides_an_object(fan):
 def test_an_antenna_hides_posts_between_the_azimuths(fan):
     """By brute force along azimuths 0.05° apart, for longer than along whole degrees."""
     mounts, mesh = antenna(fan)
-    posts = PostPlaces.around(Footprint.of(BODY), 0.0, (2.0, 9.0), Zone(Footprint.of(BODY), sector_rad=(-0.5, 0.5)))
-    item = PostRequirement("post", posts, 1.0, None, 0.3, 9.0, obstacles(mesh))
+    posts = PostPlaces.around(
+        Footprint.of(BODY), 0.0, (2.0, 9.0), StandZone(Footprint.of(BODY), sector_rad=(-0.5, 0.5))
+    )
+    item = PostRequirement("post", posts, 1.0, None, 0.3, obstacles(mesh))
     fine = posts.along(np.arange(-1.0, 5.0, 0.05) % 360)
     longest_m = {}
     for name, some in (("even", posts), ("fine", fine)):
@@ -241,13 +243,14 @@ def beside_brute_force(rigs, seed, fan):
         item, mounts, around = barred(rng, fan)
         least = brute_force(item, mounts, around, 0.04)
         judge = ObjectJudge(item)
-        between += least == 0 and judge.measured(mounts, 20).values.min() > 0
+        between += least == 0 and judge.reach.measured(mounts, 20).values.min() > 0
         got = judge.judge(mounts).reached
         if got > least + 1 or (least == 0 and got > 0):
             wrong.append((number, least, got))
     return between, wrong
 
 
+@pytest.mark.slow
 def test_beside_brute_force(fan):
     between, wrong = beside_brute_force(5, 2, fan)
     assert between >= 2
@@ -271,7 +274,7 @@ def posts_beside_brute_force(rigs, seed, fan):
         item, mounts, around = barred(rng, fan)
         limit_m = item.stand.zone.within_m[1]
         posts = PostPlaces.around(Footprint.of(BODY), 0.0, (limit_m - 4, limit_m))
-        post = PostRequirement("post", posts, float(item.target.size_m[2]), None, 0.3, limit_m, around)
+        post = PostRequirement("post", posts, float(item.target.size_m[2]), None, 0.3, around)
         even_m, fine_m = (
             longest_gap_m(some, (lowest_at(some.counted, post.target, mounts, around, 1, 9).counts > 0).any(axis=1))
             for some in (posts, posts.along(np.arange(0, 360, 0.2)))
@@ -283,6 +286,7 @@ def posts_beside_brute_force(rigs, seed, fan):
     return between, wrong
 
 
+@pytest.mark.slow
 def test_posts_beside_brute_force(fan):
     between, wrong = posts_beside_brute_force(3, 5, fan)
     assert between >= 2
@@ -312,6 +316,7 @@ def test_nothing_throws_no_shadow():
     assert places.shape == (0, 2)
 
 
+@pytest.mark.slow
 def test_a_fence_adds_no_more_than_the_most():
     """60 pickets throw thousands of narrow shadows."""
     pickets = [bar((0.03 * n + 1.0, y, 1.0), (0.01, 0.01, 1.0), (0, 0, 0)) for n in range(30) for y in (0.0, 0.5)]
@@ -336,6 +341,7 @@ solver: {method: annealing, evaluations: 30, seed: 1}
 """
 
 
+@pytest.mark.slow
 def test_a_search_learns_of_places_in_shadows(fan, tmp_path):
     """All its rigs meet the requirement at the base grid's places, and none in the antenna's shadow."""
     fan(0.5, 0.1, (0, 0, 0), folder=tmp_path)
@@ -343,7 +349,7 @@ def test_a_search_learns_of_places_in_shadows(fan, tmp_path):
     study = load_study(tmp_path / "study.yaml")
     found = optimize(study, threads=1)
     (judge,) = Verifier(study.requirements).judges
-    assert judge.measured(found.rig.mounts, 100).values.min() > 0
+    assert judge.reach.measured(found.rig.mounts, 100).values.min() > 0
     assert not found.verdict.passed
     assert found.verdict.requirements[0].reached == 0
     assert any("joined those that count" in remark for remark in found.remarks)

@@ -47,6 +47,7 @@ def files(tmp_path):
     return write
 
 
+@pytest.mark.slow
 def test_pass_and_fail(files, tmp_path):
     done = lidarcfg("verify", *files(), "--json", "--junit", tmp_path / "v.xml")
     found = json.loads(done.stdout)
@@ -59,6 +60,7 @@ def test_pass_and_fail(files, tmp_path):
     assert "2 of 2 requirements are not met" in done.stdout
 
 
+@pytest.mark.slow
 def test_sensors_without_which_it_fails_are_named(files, tmp_path):
     """Of a rig with nothing to spare: each of the sensors, as the other one alone fails."""
     reached = json.loads(lidarcfg("verify", *files(), "--json").stdout)["requirements"][0]["reached"]

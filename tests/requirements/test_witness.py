@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.requirements.object_requirement import ObjectJudge
+from lidarcfg.requirements.object_judge import ObjectJudge
 from lidarcfg.requirements.robustness import Robust, misplaced
 from lidarcfg.returns.scanners import PHASES, scanners_of
 from tests.naive import requirements as naive
@@ -35,6 +35,7 @@ def agreement(rigs, seed):
     return differ, off, some
 
 
+@pytest.mark.slow
 def test_beside_brute_force():
     differ, off, some = agreement(3, 12)
     assert differ == []
@@ -60,7 +61,7 @@ def test_a_thin_pillars_shadow_between_the_places():
     near = item.stand.zone.__class__(item.stand.zone.body, box_m=(np.array([7.1, 0.0]), np.array([7.5, 1.2])))
     stand = item.stand.__class__(near, item.stand.footprint, item.stand.headings_rad, 0.0, 0.1)
     judge = ObjectJudge(replace(item, stand=stand, obstacles=around))
-    assert judge.measured(sensor, ALL).values.min() > 0
+    assert judge.reach.measured(sensor, ALL).values.min() > 0
     found = judge.judge(sensor)
     assert not found.passed
     assert found.reached == 0
@@ -68,6 +69,7 @@ def test_a_thin_pillars_shadow_between_the_places():
     assert y / x == pytest.approx(0.1375 / 1.5, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lost", "sensors"), [(0, None), (1, None), (0, 2)])
 def test_counts_are_the_simulators(lost, sensors):
     """Of every sensor in every phase by the simulator, then by plain loops over phases and failures."""
@@ -78,7 +80,7 @@ def test_counts_are_the_simulators(lost, sensors):
     )
     item = requirement(lost=lost, sensors=sensors)
     judge = ObjectJudge(item)
-    found = judge.measured(rig, ALL)
+    found = judge.reach.measured(rig, ALL)
     for at in np.random.default_rng(6).choice(len(found.places), 6, replace=False):
         tracer = tracer_of([BODY, at_place(box(0.5, 0.5, 1.0), found.places[at])])
         counts = [
@@ -88,12 +90,13 @@ def test_counts_are_the_simulators(lost, sensors):
         assert found.values[at] == naive.worst_returns(counts, lost, sensors)
 
 
+@pytest.mark.slow
 def test_mounting_errors_hold_in_a_quantile_of_draws():
     rig = random_rig(np.random.default_rng(5), 3)
     robust = Robust(position_sigma_m=0.05, angle_sigma_deg=2.0, samples=5, quantile=0.6)
     item = requirement((1.0, 2.0), returns=10)
     off = [misplaced(rig, errors) for errors in robust.errors(3)]
-    values = [int(ObjectJudge(item).measured(one, ALL).values.min()) for one in off]
+    values = [int(ObjectJudge(item).reach.measured(one, ALL).values.min()) for one in off]
     alone = verdict(item, rig).reached
     found = verdict(item, rig, robust).reached
     assert found <= min(alone, sorted(values)[5 - 3])
@@ -104,7 +107,7 @@ def test_a_fraction_of_places_is_by_the_base_grid():
     item = requirement(headings_deg=(0, 45), returns=30, at_least=0.8)
     judge = ObjectJudge(item)
     places = judge.places
-    values = judge.measured(rig, ALL).values
+    values = judge.reach.measured(rig, ALL).values
     worst = {}
     for place, value in zip(places.tolist(), values.tolist(), strict=True):
         worst[tuple(place[:2])] = min(value, worst.get(tuple(place[:2]), ALL))

@@ -8,11 +8,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from lidarcfg.requirements.context import Context
-from lidarcfg.requirements.kind import Entry, Judge, Kind, Requirement
+from lidarcfg.requirements.judge import PlainRequirement
+from lidarcfg.requirements.kind import Context, Entry, Kind
 from lidarcfg.requirements.verdict import RequirementVerdict, WorstPlace
 from lidarcfg.returns.counts import OnPlaces, no_progress
-from lidarcfg.returns.known import Share
 from lidarcfg.sensors.rig import Mount
 
 
@@ -29,14 +28,11 @@ class ApartKind(Kind):
 
 
 @dataclass(frozen=True)
-class ApartRequirement(Requirement, Judge):
+class ApartRequirement(PlainRequirement):
     """Sensors stand at least this far apart."""
 
     name: str
     least_m: float
-
-    def judge_with(self, share: Share | None = None) -> "ApartRequirement":
-        return self
 
     def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         pairs = list(combinations([np.array(mount.position_m) for mount in mounts], 2))

@@ -10,6 +10,8 @@ from scipy.stats import spearmanr
 from lidarcfg.study.study import load_study
 from lidarcfg.vsr.metric import max_vsr
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 JUDGED = json.loads((ROOT / "data/reference/learned_judge.json").read_text())
 RIGS = JUDGED["rigs"]

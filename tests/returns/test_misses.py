@@ -85,6 +85,7 @@ def by_hand(name, places, poses, kept=(0, 1, 2), body=BODY):
     return found
 
 
+@pytest.mark.slow
 def test_misses_are_those_of_plain_loops(tmp_path):
     """At ten places of three objects for two rigs, of three sensors, two and one; and their weighted mean."""
     loaded = study(tmp_path)
@@ -114,6 +115,7 @@ def test_misses_are_those_of_plain_loops(tmp_path):
     assert {0.0, 1.0} < seen  # and places where the phases decide
 
 
+@pytest.mark.slow
 def test_what_hides_is_the_body(tmp_path):
     """Places at which the plain loops find fewer returns with the body than without it: the engine agrees with both."""
     loaded = study(tmp_path, "{objects: {tyre: 1}, returns: 3, within_m: [0.1, 2]}")
@@ -143,6 +145,7 @@ def outline(path):
     return shapely.unary_union([shapely.Polygon(part.exterior) for part in shapely.get_parts(whole)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("within_m", [(0.1, 20.0), (0.0, 0.5), (3.0, 3.2)])
 def test_places_are_within_distances_of_the_body_s_outline(tmp_path, within_m):
     """The distance of two outlines, turned and moved by shapely."""
@@ -160,6 +163,7 @@ def test_places_are_within_distances_of_the_body_s_outline(tmp_path, within_m):
             assert not within_m[0] or min(np.bincount((places[:, 3] // (math.pi / 2)).astype(int), minlength=4)) > 50
 
 
+@pytest.mark.slow
 def test_places_of_a_sector_are_in_it(tmp_path):
     """By the angle from the middle of the outline's bounds: a sector that has the rear in it."""
     loaded = study(tmp_path, "{objects: {post: 1}, sector_deg: [135, 225]}", SEDAN)
@@ -170,6 +174,7 @@ def test_places_of_a_sector_are_in_it(tmp_path):
     assert np.ptp(angle) > 85
 
 
+@pytest.mark.slow
 def test_places_are_uniform_in_area_and_heading(tmp_path):
     """As counts in cells of distance, side and heading of points drawn by numpy and kept by shapely; by chi square.
 

@@ -4,10 +4,12 @@ import pytest
 import yaml
 
 from lidarcfg.requirements.verify import Verifier
-from lidarcfg.search.achievable import unachievable
 from lidarcfg.search.cheapest import cheapest
+from lidarcfg.search.requirements_search import unachievable
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.study import load_study
+
+pytestmark = pytest.mark.slow
 
 REGION = {"min_m": [-10, -10, 0], "max_m": [10, 10, 4], "cuboid_m": [1, 1, 0.5]}
 BODY = {"name": "body", "center_m": [0, 0, 0.75], "size_m": [4, 1.8, 1.5]}

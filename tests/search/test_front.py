@@ -40,7 +40,7 @@ def pairs_of(found):
 
 
 def costs(found):
-    return [[log.cost.tolist() for log in logs] for logs in found.logs]
+    return [[log.cost.tolist() for log in record.logs] for record in found.log.records.values()]
 
 
 def naive_max_vsr(mounts):
@@ -57,6 +57,7 @@ def naive_max_vsr(mounts):
     return max(naive.vsr(cells, edges) for cells in spaces)
 
 
+@pytest.mark.slow
 def test_with_fixed_poses_it_is_what_trying_every_model_gives(tmp_path):
     """Three sensors, each by itself of any model or absent; costs by plain loops."""
     places = [((3, 3, 1.5), (0, 0, 0)), ((6, 2, 1), (0, 0.2, 0)), ((2, 5, 2), (0.3, 0, 1))]
@@ -75,6 +76,7 @@ def test_with_fixed_poses_it_is_what_trying_every_model_gives(tmp_path):
     assert len(found.points) >= 3
 
 
+@pytest.mark.slow
 def test_with_a_height_to_choose_it_is_what_a_fine_grid_gives(tmp_path):
     """One sensor moves up and down, another is fixed; the objective is constant between steps of the grid."""
     moving = "min: {position_m: [3, 3, 0.5], rpy_deg: [0, 10, 0]}, max: {position_m: [3, 3, 2.5], rpy_deg: [0, 10, 0]}"
@@ -109,10 +111,11 @@ def test_who_is_next():
     np.testing.assert_allclose(found, [0.0, 0.05, math.log(4), 0.0, math.log(4)], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_each_search_is_the_ordinary_one(tmp_path):
     """As far as its own search came, it is what `optimize` finds; and the front's got the most."""
-    search = FrontRun(study(tmp_path))
-    search.run(threads=2)
+    search = FrontRun(study(tmp_path), threads=2)
+    assert not search.run()
     found = search.result(False)
     assert found.evaluations == 6000 == sum(c.evaluations for c in found.candidates) == found.history[-1].evaluations
     for one in search.searches[::3]:
@@ -126,11 +129,12 @@ def test_each_search_is_the_ordinary_one(tmp_path):
     assert found.dominated_evaluations < even * sum(not one.on_front for one in found.candidates)
 
 
+@pytest.mark.slow
 def test_any_number_of_threads_and_a_resumed_search_give_the_same(tmp_path):
     loaded = study(tmp_path, solver="method: auto, evaluations: 4000, seed: 2")
     whole = front(loaded, threads=1)
     broken = front(with_solver(loaded, evaluations=2345), threads=3, skip=False)
-    resumed = front(loaded, threads=3, logs=broken.logs)
+    resumed = front(loaded, threads=3, log=broken.log)
     for found in (front(loaded, threads=3), resumed):
         assert pairs_of(found) == pairs_of(whole)
         assert [one.evaluations for one in found.candidates] == [one.evaluations for one in whole.candidates]
@@ -144,7 +148,7 @@ def test_an_interrupt_keeps_the_front_so_far(tmp_path):
         if len(search.history) == 4:
             raise KeyboardInterrupt
 
-    found = front(study(tmp_path), threads=2, on_part=interrupt)
+    found = front(study(tmp_path), threads=2, on_turn=interrupt)
     assert found.interrupted
     assert 1 <= len(found.points) <= 4
     assert sum(one.evaluations == 0 for one in found.candidates) == len(found.candidates) - 4

@@ -4,8 +4,8 @@ import pytest
 
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.search.cheapest import CheapestRun
-from lidarcfg.search.combinations import distinct_options
-from lidarcfg.search.starts import starting_options
+from lidarcfg.search.combinations import distinct_combinations
+from lidarcfg.search.start_rigs import points_by_combination
 from tests.search.hand_made import HAND_MADE
 
 EVALUATIONS = 20_000
@@ -15,22 +15,22 @@ EVALUATIONS = 20_000
 def test_the_cheapest_rig_is_no_dearer_than_the_one_by_hand(name):
     made = HAND_MADE[name]
     study = made.study(evaluations=EVALUATIONS)
-    options = distinct_options(study)
-    ((number, (x,)),) = starting_options(options, [made.hand]).items()
-    chosen = options[number].combination.study
-    assert options[number].price == made.price
+    ones = distinct_combinations(study)
+    ((number, (x,)),) = points_by_combination(ones, [made.hand]).items()
+    chosen = ones[number].study
+    assert ones[number].price == made.price
     assert Verifier(chosen.requirements).verify(chosen.rig(chosen.poses(x[None])[0]).mounts).passed
-    run = CheapestRun(study)
 
     class FoundError(Exception):
         pass
 
-    def stop(run, what):
-        if run.found is not None and run.options[run.found].price <= made.price:
+    def stop(run):
+        if run.found is not None and run.combinations[run.found].price <= made.price:
             raise FoundError
 
+    run = CheapestRun(study, on_turn=stop)
     with pytest.raises(FoundError):  # whatever is found after that is cheaper still
-        run.run(stop)
-    found = run.options[run.found].combination.study
-    effort = run.efforts[run.found]
-    assert Verifier(found.requirements).verify(found.rig(found.poses(effort.x[None])[0]).mounts).passed
+        run.run()
+    found = run.combinations[run.found].study
+    record = run.records[run.found]
+    assert Verifier(found.requirements).verify(found.rig(found.poses(record.x[None])[0]).mounts).passed

@@ -17,6 +17,8 @@ from lidarcfg.study.study_evaluator import StudyEvaluator
 from lidarcfg.vsr.metric import max_vsr
 from tests.studies import study_of
 
+pytestmark = pytest.mark.slow
+
 SENSOR = {
     "name": "turns",
     "beams": {"elevation_deg": [-48, -40, -33, -26, -20, -15, -11, -7, -3, 0]},

@@ -11,7 +11,7 @@ import pytest
 from lidarcfg.packets.families import pattern
 from lidarcfg.requirements.allowed_rigs import most_returns
 from lidarcfg.requirements.resolved import Requirements
-from lidarcfg.requirements.scenario import ScenarioRequirement
+from lidarcfg.requirements.scenarios.requirement import ScenarioRequirement
 from lidarcfg.requirements.shortfalls import Shortfalls
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns import scanners as firing
@@ -21,21 +21,20 @@ from lidarcfg.returns.misses import SEARCH, SEARCH_PLACES
 from lidarcfg.returns.scanners import PHASES
 from lidarcfg.returns.target import box_target
 from lidarcfg.search import cheapest as cheapest_module
-from lidarcfg.search.achievable import unachievable
 from lidarcfg.search.cheapest import cheapest
-from lidarcfg.search.combinations import distinct_options, options
+from lidarcfg.search.combinations import combinations, distinct_combinations
 from lidarcfg.search.optimize import optimize
 from lidarcfg.search.plain_rigs import PLAIN_MAX, plain_points
-from lidarcfg.search.requirements_search import (
-    SHORTFALL_MOST,
-    RequirementsEvaluator,
-)
+from lidarcfg.search.requirements_evaluator import SHORTFALL_MOST, RequirementsEvaluator
+from lidarcfg.search.requirements_search import unachievable
 from lidarcfg.search.run import INFEASIBLE
 from lidarcfg.search.workers import Processes
 from lidarcfg.sensors.firing import CycleBeams
 from lidarcfg.solvers.search import unbounded
 from lidarcfg.study.study import load_study, with_solver
 from tests.returns_cases import mount
+
+pytestmark = pytest.mark.slow
 
 YARD = """
 region: {{min_m: [-8, -8, 0], max_m: [8, 8, 4], cuboid_m: [1, 1, 1]}}
@@ -240,7 +239,7 @@ def test_the_result_is_no_worse_than_the_best_plain_rig_of_those_that_pass_or_el
 
 def test_the_first_rig_that_meets_all_is_verified_at_once(study, monkeypatch):
     """By what was told: at the end of its batch; and until a rig passes, all that meet cost the same, nothing."""
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_PLACES", 12)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_PLACES", 12)
     one = study(CRATES.replace("150", "500"), returns=130, lost=0, more="")
     found = optimize(one, threads=2)
     checks = found.log.checks
@@ -259,7 +258,7 @@ def test_the_first_rig_that_meets_all_is_verified_at_once(study, monkeypatch):
 
 def test_what_was_verified_is_not_verified_again(study, monkeypatch):
     """A resumed search goes by its log: it verifies its best rig, and where that fails the one that it ends with."""
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_PLACES", 12)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_PLACES", 12)
     one = study(CRATES.replace("150", "500"), returns=130, lost=0, more="")
     begun = optimize(one, threads=2)
     verified = []
@@ -289,7 +288,7 @@ def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
 
 def test_a_search_at_a_few_places_is_verified_at_all(study, monkeypatch):
     """Where rigs fail at places of the base grid that do not count, these join; the verdict is that of all places."""
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_PLACES", 12)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_PLACES", 12)
     one = study(CRATES.replace("150", "500"), returns=100, lost=0, more="")
     (item,) = one.requirements.items
     assert len(item.trial_places) < 20 < len(item.stand.base)
@@ -302,8 +301,8 @@ def test_a_search_at_a_few_places_is_verified_at_all(study, monkeypatch):
 
 def test_what_trials_miss_is_found(study, monkeypatch):
     """By brute force over the base grid: the places at which a rig fails, the worst of those first."""
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_PLACES", 12)
-    monkeypatch.setattr("lidarcfg.requirements.object_requirement.TRIAL_GROWTH", 3)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_PLACES", 12)
+    monkeypatch.setattr("lidarcfg.requirements.object_judge.TRIAL_GROWTH", 3)
     one = study(CRATES, returns=120, lost=1, more="")
     (item,) = one.requirements.items
     (judge,) = Verifier(one.requirements).judges
@@ -364,16 +363,16 @@ solver: {evaluations: 200}
 def test_each_rig_is_searched_once(study):
     """Two groups of one sensor each. In the same bounds: multisets of two of three choices, without that of no sensor."""
     apart = study(CHOICE.replace("RETURNS", "10"))
-    assert len(distinct_options(apart)) == len(options(apart)) == 3**2 - 1  # a mirror image is another rig
+    assert len(distinct_combinations(apart)) == len(combinations(apart)) == 3**2 - 1  # a mirror image is another rig
     together = CHOICE.replace("RETURNS", "10").replace("-0.4", "0.4")
-    distinct = distinct_options(study(together))
+    distinct = distinct_combinations(study(together))
     assert len(distinct) == math.comb(3 + 2 - 1, 2) - 1
     prices = [each.price for each in distinct]
     assert prices == sorted(sum(pair) for pair in combinations_with_replacement((4000, 7000, 0), 2) if any(pair))
     drawn = study(together.replace("solver:", "robust: {angle_sigma_deg: 0.5, samples: 4}\nsolver:"))
-    assert len(distinct_options(drawn)) == 3**2 - 1  # each sensor has mounting errors of its own
+    assert len(distinct_combinations(drawn)) == 3**2 - 1  # each sensor has mounting errors of its own
     other = study(together.replace("right\n", "right\n    range_m: [0.5, 30]\n"))
-    assert len(distinct_options(other)) == 3**2 - 1
+    assert len(distinct_combinations(other)) == 3**2 - 1
 
 
 @pytest.mark.parametrize("returns", [300, 100_000])
@@ -381,8 +380,8 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
     one = study(CHOICE.replace("RETURNS", str(returns)))
     found = cheapest(one, threads=2)
     passing = []
-    for option in distinct_options(one):
-        each = option.combination.study
+    for option in distinct_combinations(one):
+        each = option.study
         evaluations = 60 if returns == 300 else 1  # the plain rigs alone
         rigs = [optimize(with_solver(each, evaluations=evaluations), threads=2)] if each.free.any() else []
         if option.price <= 13000 and any(rig.verdict.passed for rig in rigs):
@@ -400,7 +399,7 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
         assert found.placement.verdict.shortfall > 0
         assert [tried.excluded for tried in found.tried].count("too dear") == 1  # two VLP-32C
         assert all("returns" in tried.excluded for tried in found.tried if tried.price <= 13000)
-    assert [tried.name for tried in found.tried] == [option.name for option in distinct_options(one)]
+    assert [tried.name for tried in found.tried] == [option.name for option in distinct_combinations(one)]
     assert isinstance(one.requirements, Requirements)
 
 
@@ -418,6 +417,16 @@ def test_the_seconds_are_those_of_the_search(study, monkeypatch):
     monkeypatch.setattr(cheapest_module, "_placement", late)
     found = cheapest(with_solver(study(CHOICE.replace("RETURNS", "300")), evaluations=1), threads=2)
     assert 0 < found.seconds <= searched[0] - began
+
+
+@pytest.mark.parametrize("evaluations", range(17, 33, 3))
+def test_the_rig_that_is_said_to_meet_all_does(study, evaluations):
+    """Also one of a batch that the budget cuts short: of 16, and the first rig that passes is the tenth of the second."""
+    text = SLIT.replace("model: vlp-16", "choose: [vlp-16, none]").replace("solver:", "prices: {vlp-16: 4000}\nsolver:")
+    one = with_solver(study(text), evaluations=evaluations)
+    found = cheapest(one, threads=2)
+    verdict = Verifier(one.requirements).verify(found.placement.rig.mounts)
+    assert (verdict.passed, found.meets) == (found.placement.verdict.passed, verdict.passed)
 
 
 def test_what_is_excluded_meets_nothing_when_searched(study):

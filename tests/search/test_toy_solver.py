@@ -14,7 +14,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from lidarcfg.cli.schemas import schema
+from lidarcfg.cli.json_schemas import schema
 from lidarcfg.errors import ConfigError
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig
@@ -53,6 +53,7 @@ def study(tmp_path):
     return write
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("keys", "height_m", "max_vsr_m", "mean_m"),
     [
@@ -76,6 +77,7 @@ def test_optimize_searches_by_it(toy, study, tmp_path, keys, height_m, max_vsr_m
     assert f"ruler, values {values}, seed 1, for 1 cycles" in report
 
 
+@pytest.mark.slow
 def test_the_command_line_has_it(study, tmp_path):
     """In a process of its own, as its choices are made when it starts."""
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lidarcfg.search.combinations import STARTS_MAX, Example, combinations, starts
+from lidarcfg.search.combinations import combinations
+from lidarcfg.search.transfer import TRANSFERRED_MAX, Example, transferred
 from lidarcfg.solvers.cma_es import WarmStart
 from lidarcfg.solvers.search import of_objectives
 from lidarcfg.study.study import load_study
@@ -36,7 +37,7 @@ def named(tmp_path_factory):
     ],
 )
 def test_poses_that_are_taken_over(of, x, to, expected, named):
-    found = starts(named[to], [Example(named[of], np.array(x), 0.5)], np.random.default_rng(1))
+    found = transferred(named[to], [Example(named[of], np.array(x), 0.5)], np.random.default_rng(1))
     assert found.shape[1] == named[to].study.free.sum()
     assert bool(len(found)) == bool(expected)
     for row in found:
@@ -46,13 +47,13 @@ def test_poses_that_are_taken_over(of, x, to, expected, named):
 def test_a_new_sensor_stands_anywhere_and_the_best_come_first(named):
     one, two = named["a-1xvlp-16-1xfan-4"], named["a-1xvlp-16"]
     examples = [Example(two, np.array([v, v]), v) for v in (0.4, 0.1, 0.3)]
-    found = starts(one, examples, np.random.default_rng(1))
+    found = transferred(one, examples, np.random.default_rng(1))
     assert found[:, :2].tolist() == [[v, v] for v in (0.1, 0.3, 0.4) for _ in range(4)]
     assert len(np.unique(found[:, 2:])) == 24
     assert found.min() >= 0
     assert found.max() <= 1
-    many = starts(one, examples * 9, np.random.default_rng(1))
-    assert len(many) == STARTS_MAX
+    many = transferred(one, examples * 9, np.random.default_rng(1))
+    assert len(many) == TRANSFERRED_MAX
 
 
 def test_the_search_goes_on_from_the_best_start():

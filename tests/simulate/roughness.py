@@ -12,10 +12,9 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from lidarcfg.capture.reader import CaptureReader
 from lidarcfg.geometry import Array, directions
 from lidarcfg.sensors.sensor import Sensor
-from tests.packets.measured import Measured, measured
+from tests.packets.measured import Measured, measured, recordings
 
 REVOLUTIONS = 4  # of a recording that are looked at, evenly spread
 PLANES = 12
@@ -107,7 +106,7 @@ def shots(sensor: Sensor, found: Measured) -> Shots:
 
 def read(path: Path, model: str | None) -> dict[str, Shots]:
     """The sources of a capture, called as the file or, if there are more, as the file and the source."""
-    sources = CaptureReader(path, lambda warning: None, model=model).recordings()
+    sources = recordings(path, model)
     return {
         path.stem if len(sources) == 1 else f"{path.stem} {one.name.removesuffix(':2368')}": shots(
             one.sensor, measured(one)

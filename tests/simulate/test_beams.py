@@ -19,6 +19,7 @@ PLACES = np.array([[6.0, 1.0, 0.0, 0.4], [-4.0, -2.0, 0.0, 1.0], [0.0, 3.0, 0.0,
 AROUND = obstacles(BODY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mount", MOUNTS, ids=lambda one: one.model)
 def test_they_are_as_many_as_are_counted(mount):
     target = Target(OBJECT)
@@ -31,6 +32,7 @@ def test_they_are_as_many_as_are_counted(mount):
         assert found == by_phase[phases].tolist()
 
 
+@pytest.mark.slow
 def test_plain_loops_count_as_many():
     mount = MOUNTS[0]
     target = Target(OBJECT)

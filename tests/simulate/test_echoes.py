@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from lidarcfg.core import simulate
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.echoes import (
     CANDIDATES,
     REPORTED,
-    SubRays,
     add_noise,
     apply_dropout,
     beam_rays,
@@ -30,7 +30,7 @@ def made(
 ):
     """The echoes of firings (N, K), with their noise."""
     range_m = np.array(range_m, np.float64)
-    hits = SubRays(
+    rays = simulate.SubRays(
         range_m,
         np.broadcast_to(np.array(reflectivity, np.uint8), range_m.shape).copy(),
         np.broadcast_to(np.array(objects, np.int32), range_m.shape).copy(),
@@ -38,7 +38,7 @@ def made(
         np.arange(len(range_m), dtype=np.uint8) % 2,
     )
     realism = Realism(**realism)
-    found = wide_beam_echoes(VLP16, realism, weather or Weather(), 0, first, np.array(weights), hits, which)
+    found = wide_beam_echoes(VLP16, realism, weather or Weather(), 0, first, np.array(weights), rays, which)
     apply_dropout(found, realism, 0, first)
     add_noise(found, realism, 0, first)
     return found

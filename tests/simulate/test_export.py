@@ -14,7 +14,7 @@ import pytest
 import velodyne_decoder as vd
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import data_bytes, in_time_order, simulated_frames
+from lidarcfg.capture.export import data_bytes, in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import FIELDS
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
@@ -24,8 +24,8 @@ from lidarcfg.inputs import check_room
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import custom_sensor
-from lidarcfg.simulate.drive import Drive
-from lidarcfg.simulate.tasks import SimulationOptions
+from lidarcfg.simulate.scene_drive import SceneDrive
+from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
 from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
@@ -59,7 +59,7 @@ def street():
 def second(street, tmp_path_factory):
     """One second of the tilted rig in the street."""
     path = tmp_path_factory.mktemp("capture") / "second.pcap"
-    write_pcap(path, in_time_order(simulated_frames(tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS)))
+    write_pcap(path, in_time_order(simulated_packets(tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS)))
     return path
 
 
@@ -81,6 +81,7 @@ def truth(street, rig, index):
     return [column[seen] for column in columns] + [np.arange(len(laser))[seen] % 384]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1])
 def test_every_return(street, second, index):
     """None missing, none extra; range within half a step, time within 1 µs, azimuth within 0.005°."""
@@ -131,10 +132,11 @@ def assert_as_elsewhere(path, other_path=None, azimuth_deg=0.025, **options):
     return ours
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1])
 def test_another_decoder_sees_the_same(street, tmp_path, index):
     rig = tilted_rig()
-    stream = simulated_frames(rig, street, T_WORLD_VEHICLE, SECOND_NS)[index]
+    stream = simulated_packets(rig, street, T_WORLD_VEHICLE, SECOND_NS)[index]
     write_pcap(tmp_path / "one.pcap", stream)
     ours = assert_as_elsewhere(tmp_path / "one.pcap", azimuth_deg=0.012)
     assert ours.sensor_names == (f"192.168.1.{201 + index}:2368",)
@@ -174,6 +176,7 @@ def test_cut_recording(tmp_path):
     assert len(warnings) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk_packets", [1, 2, 100])
 def test_chunks_do_not_matter(second, tmp_path, chunk_packets):
     """Ours in any chunks: the same points, sensor by sensor."""
@@ -191,7 +194,7 @@ def test_the_same_bytes_again(street, second, tmp_path):
     """Whatever the chunks, and merged from one stream a sensor."""
     path = tmp_path / "again.pcap"
     done: list[int] = []
-    streams = simulated_frames(
+    streams = simulated_packets(
         tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, options=SimulationOptions(done.append, chunk_ns=7_000_000)
     )
     write_pcap(path, in_time_order(streams))
@@ -214,8 +217,8 @@ def test_no_thread_stays_when_a_reader_stops_early(street, second):
     """Of an export whose streams are merged, of one of its streams alone, and of a capture that is decoded."""
     options = SimulationOptions(chunk_ns=20_000_000, threads=3)
     for reader in (
-        in_time_order(simulated_frames(tilted_rig(), street, np.eye(4), SECOND_NS, options=options)),
-        simulated_frames(tilted_rig(), street, np.eye(4), SECOND_NS, options=options)[-1],
+        in_time_order(simulated_packets(tilted_rig(), street, np.eye(4), SECOND_NS, options=options)),
+        simulated_packets(tilted_rig(), street, np.eye(4), SECOND_NS, options=options)[-1],
         decode_pcap(second, no_warning, chunk_packets=100),
     ):
         at_work, left = stop_early(reader)
@@ -233,7 +236,7 @@ def test_no_thread_stays_after_an_error(street):
     with pytest.raises(OSError, match="No space"):
         list(
             in_time_order(
-                simulated_frames(
+                simulated_packets(
                     tilted_rig(), street, np.eye(4), SECOND_NS, options=SimulationOptions(full, chunk_ns=20_000_000)
                 )
             )
@@ -257,7 +260,7 @@ weather: {rain_mm_h: 20}
     along = Trajectory(np.eye(4), build_path(Motion(arc=Arc(speed_m_s=8, yaw_rate_deg_s=-30))), START_NS)
     written = set()
     for threads, chunk_ns in ((1, SECOND_NS), (2, 30_000_000), (5, 11_000_000)):
-        streams = simulated_frames(
+        streams = simulated_packets(
             rig, stage, along, 100_000_000, options=SimulationOptions(chunk_ns=chunk_ns, threads=threads)
         )
         write_pcap(tmp_path / "a.pcap", in_time_order(streams))
@@ -294,7 +297,7 @@ def test_over_the_hour(street, tmp_path):
     rig = Rig("one", (mount(),))
     hour_ns = START_NS + 7 * 3600 * SECOND_NS
     start_ns = hour_ns - 51 * PERIOD_NS + 123
-    write_pcap(tmp_path / "a.pcap", simulated_frames(rig, street, np.eye(4), 100 * PERIOD_NS, start_ns)[0])
+    write_pcap(tmp_path / "a.pcap", simulated_packets(rig, street, np.eye(4), 100 * PERIOD_NS, start_ns)[0])
     times = decoded(tmp_path / "a.pcap").time_ns
     assert (np.diff(times) > -600).all()
     assert start_ns - 500 <= times[0] < hour_ns < times[-1] < start_ns + 100 * PERIOD_NS
@@ -302,7 +305,7 @@ def test_over_the_hour(street, tmp_path):
 
 def test_street_fills_a_roof_sensor(street, tmp_path):
     rig = Rig("roof", (mount(),))
-    write_pcap(tmp_path / "a.pcap", in_time_order(simulated_frames(rig, street, np.eye(4), SECOND_NS)))
+    write_pcap(tmp_path / "a.pcap", in_time_order(simulated_packets(rig, street, np.eye(4), SECOND_NS)))
     cloud = decoded(tmp_path / "a.pcap", rig=rig)
     assert len(cloud.xyz) > 100_000
     assert (cloud.intensity > 100).any()
@@ -340,9 +343,9 @@ def test_what_cannot_be_exported(street):
     with pytest.raises(
         ConfigError, match=r"lidar_0: sensor 'custom' has no codec, and so no packets; write points instead: \.ply, "
     ):
-        simulated_frames(Rig("fan", (fan,)), street, np.eye(4), SECOND_NS)
+        simulated_packets(Rig("fan", (fan,)), street, np.eye(4), SECOND_NS)
     with pytest.raises(ConfigError, match=r"0\.001 s holds no packet of lidar_0; allowed: at least 0\.0013271 s"):
-        simulated_frames(Rig("short", (mount(),)), street, np.eye(4), 1_000_000)
+        simulated_packets(Rig("short", (mount(),)), street, np.eye(4), 1_000_000)
 
 
 def test_the_size_of_a_capture_is_known_beforehand(street, tmp_path):
@@ -351,9 +354,9 @@ def test_the_size_of_a_capture_is_known_beforehand(street, tmp_path):
     mounts = [replace(one, azimuth_fov_deg=(270.0, 90.0)) if "left" in one.name else one for one in rig.mounts]
     mounts[-1] = replace(mounts[-1], return_mode="dual")
     rig = replace(rig, mounts=tuple(mounts))
-    drive = Drive(rig, street, Trajectory.static(np.eye(4)), None, START_NS, SECOND_NS // 5)
+    drive = SceneDrive(rig, street, Trajectory.static(np.eye(4)), None, START_NS, SECOND_NS // 5)
     path = tmp_path / "a.pcap"
-    write_pcap(path, in_time_order(simulated_frames(rig, street, np.eye(4), SECOND_NS // 5)))
+    write_pcap(path, in_time_order(simulated_packets(rig, street, np.eye(4), SECOND_NS // 5)))
     written = sum(16 + len(one) + 42 for one in (d.payload for d in datagrams_of(path)) if len(one) > 1000)
     assert data_bytes(drive) == pytest.approx(written, rel=0.03)
 
@@ -371,7 +374,7 @@ def test_the_last_seconds_of_a_pcap(street, tmp_path):
     rig = tilted_rig()
     duration_ns = 10 * PERIOD_NS
     last_ns = TIME_END_NS - duration_ns - PERIOD_NS // 2 - 501  # the second sensor starts half a packet later
-    write_pcap(tmp_path / "a.pcap", in_time_order(simulated_frames(rig, street, np.eye(4), duration_ns, last_ns)))
+    write_pcap(tmp_path / "a.pcap", in_time_order(simulated_packets(rig, street, np.eye(4), duration_ns, last_ns)))
     times = [datagram.time_ns for datagram in datagrams_of(tmp_path / "a.pcap")]
     assert times == sorted(times)
     assert times[-1] == TIME_END_NS - 1000
@@ -381,7 +384,7 @@ def test_the_last_seconds_of_a_pcap(street, tmp_path):
         (-1, duration_ns),
     ):
         with pytest.raises(ConfigError, match="exceed the times of a pcap, 1970 to 2106-02-07T06:28:16 UTC"):
-            simulated_frames(rig, street, np.eye(4), length_ns, start_ns)
+            simulated_packets(rig, street, np.eye(4), length_ns, start_ns)
 
 
 @pytest.mark.parametrize(("x", "y"), [(5e5, 5e6), (-1e8, 1e8)])
@@ -393,7 +396,7 @@ def test_far_places(tmp_path, x, y):
         box = f"boxes: [{{name: b, center_m: [{at[0] + 10:.1f}, {at[1]:.1f}, 1], size_m: [2, 2, 2], reflectivity: 9}}]"
         stage = scene(tmp_path, f"ground: {{reflectivity: 10}}\n{box}")
         T = pose((*at, 0.0), (0.0, 0.0, 0.0))
-        write_pcap(tmp_path / "a.pcap", in_time_order(simulated_frames(rig, stage, T, SECOND_NS // 10)))
+        write_pcap(tmp_path / "a.pcap", in_time_order(simulated_packets(rig, stage, T, SECOND_NS // 10)))
         clouds.append(decoded(tmp_path / "a.pcap"))
     assert len(clouds[0].xyz) > 1000
     np.testing.assert_allclose(clouds[1].xyz, clouds[0].xyz, atol=0.003)
@@ -404,11 +407,12 @@ def test_places_beyond_the_world(street, value):
     T = np.eye(4)
     T[1, 3] = value
     with pytest.raises(ConfigError, match=r"the vehicle stands at y = .* m; allowed: -1e\+08 to 1e\+08"):
-        simulated_frames(Rig("one", (mount(),)), street, T, SECOND_NS)
+        simulated_packets(Rig("one", (mount(),)), street, T, SECOND_NS)
     with pytest.raises(ConfigError, match=r"lidar_0 stands at z = .* m; allowed: -1e\+08 to 1e\+08"):
-        simulated_frames(Rig("one", (mount(position_m=(0.0, 0.0, value)),)), street, np.eye(4), SECOND_NS)
+        simulated_packets(Rig("one", (mount(position_m=(0.0, 0.0, value)),)), street, np.eye(4), SECOND_NS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("old", [None, b"old"])
 def test_a_killed_export_leaves_no_capture(tmp_path, old):
     """Killed without warning while it writes: what was there stays, and nothing else looks whole."""

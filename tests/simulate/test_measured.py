@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
 from lidarcfg.sensors.realism import Realism
@@ -37,7 +37,7 @@ def exported(tmp_path, model, realism, mode="strongest"):
     one = mount(position_m=(0.3, 0.2, 1.6), rpy_deg=(2.0, 3.0, 10.0))
     one = replace(one, sensor=load_sensor(model), model=model, return_mode=mode, realism=realism)
     path = tmp_path / f"{model}.pcap"
-    write_pcap(path, in_time_order(simulated_frames(Rig("r", (one,)), load_scene(ROOM), np.eye(4), SECOND_NS // 2)))
+    write_pcap(path, in_time_order(simulated_packets(Rig("r", (one,)), load_scene(ROOM), np.eye(4), SECOND_NS // 2)))
     return path
 
 
@@ -75,6 +75,7 @@ def test_exports_are_as_rough_as_recordings(tmp_path, model, mode, names):
     assert compared == (13 if mode == "dual" else 5)
 
 
+@pytest.mark.slow
 def test_what_was_put_in_is_measured(tmp_path):
     """And without any, steps of 2 mm alone: their sigma is 2 mm / sqrt 12."""
     exact = measured(exported(tmp_path, "vlp-16", None))
@@ -210,7 +211,7 @@ def test_what_a_capture_does_not_say_is_no_figure(tmp_path):
         one = replace(mount(), return_mode="dual", realism=Realism(range_noise_m=0.01))
         stage = scene(tmp_path, f"spheres: [{text[:-1]}, reflectivity: 40}}]")
         write_pcap(
-            tmp_path / "a.pcap", in_time_order(simulated_frames(Rig("r", (one,)), stage, np.eye(4), SECOND_NS // 4))
+            tmp_path / "a.pcap", in_time_order(simulated_packets(Rig("r", (one,)), stage, np.eye(4), SECOND_NS // 4))
         )
         found = measured(tmp_path / "a.pcap")
         said = {name for name, value in vars(found).items() if np.isfinite(value)}
@@ -231,7 +232,7 @@ def test_exports_keep_what_is_reported_and_placement_what_is_promised(tmp_path):
         wall = f"planes: [{{name: wall, center_m: [{at_m}, 0, 0], size_m: [90, 90], rpy_deg: [0, -90, 0], reflectivity: 50}}]"
         write_pcap(
             tmp_path / "a.pcap",
-            in_time_order(simulated_frames(Rig("r", (one,)), scene(tmp_path, wall), np.eye(4), 10**8)),
+            in_time_order(simulated_packets(Rig("r", (one,)), scene(tmp_path, wall), np.eye(4), 10**8)),
         )
         cloud = decoded(tmp_path / "a.pcap")
         near = abs(cloud.xyz[:, 1]) < 0.05 * at_m
@@ -260,7 +261,7 @@ def test_nothing_beyond_what_is_reported_is_on_the_wire(tmp_path, model):
         range_m = []
         for height_m in (0.002, 0.1, 2.6, 3.7):
             placed = replace(mount(position_m=(0.0, 0.0, height_m)), sensor=one, model=model, data_port=6699)
-            streams = simulated_frames(Rig("r", (placed,)), stage, np.eye(4), SECOND_NS // 200)
+            streams = simulated_packets(Rig("r", (placed,)), stage, np.eye(4), SECOND_NS // 200)
             write_pcap(tmp_path / "a.pcap", in_time_order(streams))
             for packet in (one.payload for one in datagrams_of(tmp_path / "a.pcap") if one.port == 6699):
                 octets = np.frombuffer(packet, np.uint8)[begin : begin + blocks * size].reshape(blocks, size)[:, head:]

@@ -15,8 +15,8 @@ from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.packets.families import pattern
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
-from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.scans import most_returns, simulated_scans
+from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.study.study import load_study
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene
@@ -253,7 +253,7 @@ def test_the_room_for_points_is_said(tmp_path, monkeypatch):
     )
     rig = load_rig(folder / "rig.yaml")
     scene = load_scene(folder / "scene.yaml")
-    drive = Drive(rig, scene, Trajectory(np.eye(4), load_path(None), START_NS), None, START_NS, 10**9 // 5)
+    drive = SceneDrive(rig, scene, Trajectory(np.eye(4), load_path(None), START_NS), None, START_NS, 10**9 // 5)
     assert most_returns(drive) == pytest.approx(4 * 3600, rel=1e-4)
     for suffix, octets in (
         (".ply", 24 + 3 + 4 + 8 + 4 + 4),
@@ -284,7 +284,7 @@ def test_more_scans_than_memory_holds_are_refused_with_the_figure(tmp_path, monk
     folder = folder_with(tmp_path)
     rig = load_rig(folder / "rig.yaml")
     scene = load_scene(folder / "scene.yaml")
-    drive = Drive(rig, scene, Trajectory(np.eye(4), load_path(None), START_NS), None, START_NS, 2 * 10**9)
+    drive = SceneDrive(rig, scene, Trajectory(np.eye(4), load_path(None), START_NS), None, START_NS, 2 * 10**9)
     needed = 60 * 4 * 1800 * 20
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 0.999 * needed)
     with pytest.raises(

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.ground_truth import TruthFile
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.geometry import inverse, transform
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.simulate.tasks import SimulationOptions
+from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, decoded, mount, scene, tilted_rig
@@ -33,7 +33,7 @@ def street():
 def with_truth(tmp_path, rig, stage, duration_ns=SECOND_NS // 10, **options):
     names = [one.name for one in rig.mounts]
     with TruthFile(tmp_path / "truth.npz", names, stage.names) as truth:
-        streams = simulated_frames(rig, stage, np.eye(4), duration_ns, on_truth=truth.add, **options)
+        streams = simulated_packets(rig, stage, np.eye(4), duration_ns, on_truth=truth.add, **options)
         write_pcap(tmp_path / "a.pcap", in_time_order(streams))
         count = truth.save()
     with np.load(tmp_path / "truth.npz") as arrays:
@@ -114,7 +114,7 @@ def test_off_is_exact(street, tmp_path):
         rig = Rig("one", (mount(),))
         rig = replace(rig, mounts=(replace(rig.mounts[0], realism=realism),))
         chunk_ns = 20_000_000 if name == "again" else 50_000_000
-        streams = simulated_frames(
+        streams = simulated_packets(
             rig, street, np.eye(4), SECOND_NS // 20, options=SimulationOptions(chunk_ns=chunk_ns)
         )
         made[name] = b"".join(record for frames in streams[0] for record in frames.records)
@@ -182,6 +182,7 @@ def test_mistakes(here, words, match):
     assert not (here / "a.pcap").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "words", "name"), [(100_000, (), "a.pcap"), (1_500_000, ("--truth", "t.npz"), "t.npz")]
 )
@@ -203,11 +204,12 @@ def test_a_full_disk_is_one_line(here, size, words, name):
     assert sorted(path.name for path in here.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_streams_are_made_as_they_are_read(street):
     """The first datagram of a day comes after a chunk is cast, not after the day."""
     done = []
     stream = in_time_order(
-        simulated_frames(tilted_rig(), street, np.eye(4), 86_400 * SECOND_NS, options=SimulationOptions(done.append))
+        simulated_packets(tilted_rig(), street, np.eye(4), 86_400 * SECOND_NS, options=SimulationOptions(done.append))
     )
     first = next(stream)
     assert first.time_ns[0] - START_NS < 10_000_000

@@ -14,7 +14,7 @@ from lidarcfg.returns.counts import returns
 from lidarcfg.returns.scanners import PHASES, Poses, compiled, scanner
 from lidarcfg.returns.target import Target
 from lidarcfg.vsr.cones import poses as sensor_poses
-from lidarcfg.world.tracer import NO_OBSTACLES
+from lidarcfg.world.tracer import NO_OBSTACLES, obstacles_of
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box, lidars, mount, obstacles, revolution, simulated, tracer_of
 
@@ -41,6 +41,7 @@ def places(rng, count, size_m, far_m=30.0):
     return np.stack([far * np.cos(angle), far * np.sin(angle), 0 * far, heading], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_counts_are_the_simulators(size):
     """All families, at a random phase each, with the body in the way."""
@@ -60,6 +61,7 @@ def test_counts_are_the_simulators(size):
     assert total > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["vlp-16", "hdl-64e-s3", "os1-32"])
 def test_counts_are_those_of_plain_loops(model):
     one = replace(mount(model, (0.4, 0.1, 1.9), (3, 5, 170), 1200.0))
@@ -148,7 +150,11 @@ def test_the_ground_of_the_surroundings_hides():
     one = mount("vlp-16", (0.0, 0.0, 2.0), (0, 0, 0))
     count = [
         returns(
-            where, target, compiled([scanner(one)]), sensor_poses(lidars([one])), NO_OBSTACLES._replace(ground_m=ground)
+            where,
+            target,
+            compiled([scanner(one)]),
+            sensor_poses(lidars([one])),
+            obstacles_of(NO_OBSTACLES.tree, np.zeros(3), ground),
         ).mean[0]
         for ground in (0.0, 0.8, 1.5)
     ]

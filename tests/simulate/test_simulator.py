@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.core import simulate
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose
 from lidarcfg.sensors.firing import Firings
@@ -46,6 +45,7 @@ def simulator(tmp_path, sensor, motion, text=ROOM, **mounted):
     return Simulator(0, one, Tracer(scene(tmp_path, text), trajectory.T_world_start[:3, 3], START_NS), trajectory)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("name", ["vlp-16", "hdl-64e-s3"])
 def test_rays_are_where_poses_and_angles_say(tmp_path, motion, name):
@@ -110,10 +110,3 @@ def test_divergence_needs_optics(tmp_path):
     sensor = load_sensor("vlp-16").model_copy(update={"optics": None})
     with pytest.raises(ConfigError, match="a: divergence: sensor 'vlp-16' has no optics facts"):
         simulator(tmp_path, sensor, MOTIONS[0], realism=Realism(divergence=True))
-
-
-def test_cosine_and_sine():
-    """Those of the C library within two units of the last digit, also at the very quarters."""
-    angles = np.concatenate([np.random.default_rng(4).uniform(-20, 20, 20_000), np.arange(-8, 9) * np.pi / 4])
-    for angle in angles.tolist():
-        assert simulate.cos_sin(angle) == pytest.approx((math.cos(angle), math.sin(angle)), rel=0, abs=2.5e-16)

@@ -7,13 +7,13 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation, transform
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
-from lidarcfg.simulate.drive import object_names
+from lidarcfg.simulate.scene_drive import object_names
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import STATIC, Arc, Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.vehicle import VehicleFile, load_vehicle, rig_vehicle, vehicle
@@ -53,7 +53,7 @@ def sedan():
 def truth(rig, world, trajectory, duration_ns, bodies):
     """The records of an export."""
     found = []
-    for stream in simulated_frames(rig, world, trajectory, duration_ns, on_truth=found.append, vehicle=bodies):
+    for stream in simulated_packets(rig, world, trajectory, duration_ns, on_truth=found.append, vehicle=bodies):
         list(stream)
     return np.concatenate(found)
 
@@ -85,6 +85,7 @@ def rays_of(records, rig, trajectory):
     return np.array(out, np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_returns_of_the_body_are_where_open3d_casts_them(tmp_path, sedan, motion):
     """Of 200 records, ray by ray with the body at that ray's time: object and range of those on the body."""
@@ -133,7 +134,7 @@ def test_the_bytes_without_a_body_stay_the_same(tmp_path, sedan):
         captures = []
         for body in (None, below, sedan):
             path = tmp_path / "capture.pcap"
-            write_pcap(path, in_time_order(simulated_frames(rig, world, T_WORLD_START, 10**8, vehicle=body)))
+            write_pcap(path, in_time_order(simulated_packets(rig, world, T_WORLD_START, 10**8, vehicle=body)))
             captures.append(path.read_bytes())
         assert captures[0] == captures[1]
         assert captures[0] != captures[2]
@@ -236,6 +237,6 @@ def test_a_sensor_inside_the_body_is_an_error(tmp_path, sedan):
     with pytest.raises(
         ConfigError, match=r"^lidar_1 is inside the vehicle's 'body'; move it, or set allow_inside: true$"
     ):
-        simulated_frames(inside, scene(tmp_path, WORLD), T_WORLD_START, SECOND_NS, vehicle=sedan)
+        simulated_packets(inside, scene(tmp_path, WORLD), T_WORLD_START, SECOND_NS, vehicle=sedan)
     allowed = replace(sedan, allow_inside=True)
-    assert len(simulated_frames(inside, scene(tmp_path, WORLD), T_WORLD_START, SECOND_NS, vehicle=allowed)) == 2
+    assert len(simulated_packets(inside, scene(tmp_path, WORLD), T_WORLD_START, SECOND_NS, vehicle=allowed)) == 2

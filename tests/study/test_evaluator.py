@@ -29,6 +29,7 @@ def history(found):
     return [(c.cycle, c.evaluations, c.best, c.mean) for c in found.history]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "beams", "limit", "seed"),
     [
@@ -119,6 +120,7 @@ def test_the_time_of_a_sweep_is_estimated_by_a_few_rigs_where_these_take_long(tm
     assert pace.evaluation_s == found[0].seconds / 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robust", ["", "robust: {lost: 1}\n", "robust: {position_sigma_m: 0.02, samples: 4}\n"])
 def test_a_search_with_a_deadline_evaluates_no_more_in_full(tmp_path, monkeypatch, robust):
     """There a batch is cut into slices, and what an earlier slice has found must not be forgotten by a later one."""
@@ -151,6 +153,7 @@ OBJECTIVES = (
 BY_NIGHT = ("annealing", OBJECTIVES[4]), ("abc", OBJECTIVES[5]), ("annealing", OBJECTIVES[5])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "objective"),
     [
@@ -229,6 +232,7 @@ def norm(values, smoothing):
     return greatest[0] * total**smoothing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smoothing", [1.0, 1 / 32, 0.001])
 @pytest.mark.parametrize(("beams", "lidars"), [(1, 1), (3, 2), (16, 1), (16, 5)])
 def test_smoothed_costs_are_norms_of_the_worst_subspaces(beams, lidars, smoothing):
@@ -260,6 +264,7 @@ def test_smoothed_costs_are_norms_of_the_worst_subspaces(beams, lidars, smoothin
         assert (greatest[6:] < upper_bound).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "more", ["", "robust: {lost: 1}\n", "zones: [{name: left, min_m: [0, 0, 0], max_m: [6, 8, 3], weight: 3}]\n"]
 )

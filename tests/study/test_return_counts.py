@@ -60,6 +60,7 @@ def rig_of(loaded):
     return loaded.rig(loaded.poses(np.full((1, int(loaded.free.sum())), 0.3))[0])
 
 
+@pytest.mark.slow
 def test_rates_are_those_of_the_simulator(tmp_path):
     """Each place's returns in each phase, and from them rate, worst and mean by plain sums."""
     loaded = study(tmp_path, change=("step_m: 1.5", "step_m: 3"))
@@ -109,6 +110,7 @@ def test_places_are_a_grid_inside_the_region_and_free(tmp_path):
     assert {tuple(round(v, 9) if k < 2 else v for k, v in enumerate(p)) for p in one.places.tolist()} == expected
 
 
+@pytest.mark.slow
 def test_maps_and_rings_add_up(tmp_path):
     loaded = study(tmp_path)
     rig = rig_of(loaded)
@@ -130,6 +132,7 @@ def test_maps_and_rings_add_up(tmp_path):
     assert "child" not in shown.detection_maps
 
 
+@pytest.mark.slow
 def test_drawn_places_have_an_interval_that_holds_the_rate_of_many(tmp_path):
     few = evaluate(loaded := study(tmp_path), rig_of(loaded)).detection["child"]
     many = evaluate(loaded := study(tmp_path, change=("samples: 200", "samples: 6400")), rig_of(loaded)).detection[
@@ -140,6 +143,7 @@ def test_drawn_places_have_an_interval_that_holds_the_rate_of_many(tmp_path):
     assert many.half_width < few.half_width
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["crate", "child"])
 def test_the_objective_is_one_minus_the_rate_and_refutes_exactly(tmp_path, name):
     loaded = study(tmp_path, f"detection: {{{name}: 2}}")
@@ -177,6 +181,7 @@ def test_a_limit_that_no_rate_reaches_refutes_nothing(tmp_path, name, limit):
     assert found == 1.0 - seen.detection.rate
 
 
+@pytest.mark.slow
 def test_skipping_and_threads_change_no_search(tmp_path):
     loaded = study(tmp_path, "max_vsr: 1, detection: {crate: 1, child: 0.5}")
     found = [optimize(loaded, threads, skip=skip) for threads, skip in ((1, True), (3, True), (1, False))]
@@ -258,6 +263,7 @@ def test_what_is_not_allowed_is_said_in_one_line(tmp_path, change, message):
     assert message in said
 
 
+@pytest.mark.slow
 def test_objects_that_look_alike_are_counted_once_and_are_what_each_is_alone(tmp_path, monkeypatch):
     """Beside studies that have one of them; of a different step, size or mesh nothing is shared."""
     items = [

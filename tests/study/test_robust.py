@@ -93,6 +93,7 @@ WEIGHTED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "more"), [*product(["abc", "annealing"], MAX_VSR), *product(["abc"], WEIGHTED)])
 def test_skipping_changes_nothing(tmp_path, method, more):
     loaded = study(tmp_path, more)

@@ -28,6 +28,7 @@ def files(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [str, Path])
 def test_a_file_is_as_good_as_what_is_loaded_from_it(files, kind):
     study = kind(files / "study.yaml")

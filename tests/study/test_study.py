@@ -32,6 +32,7 @@ def study(tmp_path, text=SMALL):
 OWN = [path for path in sorted(STUDIES.glob("*.yaml")) if "\nvary:" not in path.read_text()]  # without plans
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", OWN, ids=lambda path: path.stem)
 def test_the_studies_that_come_with_it(path):
     loaded = load_study(path)
@@ -173,6 +174,7 @@ def test_an_evaluation_names_the_worst(tmp_path):
 METHODS = ("auto", "abc", "annealing")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_a_resumed_search_ends_where_an_unbroken_one_does(tmp_path, method):
     small = with_solver(study(tmp_path), method=method, evaluations=700)
@@ -204,6 +206,7 @@ def test_coordinates_along_one_axis_within_equal_bounds_mean_the_same(tmp_path):
         assert (found.kind[i] == found.kind[j]) == alike
 
 
+@pytest.mark.slow
 def test_mirrored_pairs_move_together(tmp_path):
     small = study(tmp_path, MIRRORED)
     assert small.free.sum() == 5 + 1
@@ -219,6 +222,7 @@ def test_mirrored_pairs_move_together(tmp_path):
         study(tmp_path, MIRRORED.replace("count: 2", "count: 3"))
 
 
+@pytest.mark.slow
 def test_constraints_are_kept(tmp_path):
     text = SMALL + "constraints: {max_tilt_deg: 12, min_distance_m: 0.9}\n"
     small = study(tmp_path, text)
@@ -247,6 +251,7 @@ def test_constraints_that_nothing_keeps(tmp_path):
         optimize(study(tmp_path, SMALL + "constraints: {min_distance_m: 2.06}\n"))  # from corner to corner are 2.062
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("objective", "by_hand"),
     [

@@ -41,6 +41,7 @@ def study(folder, vehicle, *groups, more="solver: {evaluations: 200}\n"):
     return study_of(folder, f"{REGION}{vehicle}sensors:\n{sensors}{more}")
 
 
+@pytest.mark.slow
 def test_plain_rigs_are_as_far_out_as_their_surfaces_allow():
     """On the saloon's roof and fenders the ends of the bounds are beside the body."""
     loaded = load_study(shipped("data") / "studies" / "mounts.yaml")
@@ -129,6 +130,7 @@ def test_nothing_narrow_stays_under_a_base(tmp_path):
             assert 0.2 < fits.mean() < 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", naive.OUT)
 @pytest.mark.parametrize("upright", [True, False])
 def test_on_a_car_as_plain_loops_have_it(tmp_path, side, upright):
@@ -153,6 +155,7 @@ def test_on_a_car_as_plain_loops_have_it(tmp_path, side, upright):
             assert axis == pytest.approx([0, 0, 1]) or not upright
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", naive.OUT)
 def test_along_the_normal_of_a_sphere(tmp_path, side):
     """Bases are on the sphere, and axes as near to its radius as a disc's middle to its rim."""
@@ -191,6 +194,7 @@ def test_a_tilt_that_a_surface_does_not_allow_is_refused_at_once(tmp_path):
         assert ((loaded.violation(random(loaded, 20)) == 0) == kept).all()
 
 
+@pytest.mark.slow
 def test_a_pair_sits_on_both_sides(tmp_path):
     """Each on its own side of the car, whose halves differ by a millimetre; on a box, exact images."""
     group = on("body", "left", (1.2, 0.5, 0.5), (2.1, 1.1, 0.8)) + ", count: 2, mirror_y_m: 0, yaw_deg: [0, 90]"
@@ -236,6 +240,7 @@ GROUPS = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None)
 @given(group=GROUPS, data=st.data())
 def test_what_does_not_violate_is_on_the_surface(tmp_path_factory, group, data):
@@ -278,6 +283,7 @@ def _off(loaded, body, points):
     return np.linalg.norm(np.maximum(away, 0), axis=1) + np.minimum(away.max(axis=1), 0)
 
 
+@pytest.mark.slow
 def test_a_search_stays_on_the_surface(tmp_path):
     """On one thread or two: the same rig, and plain loops find its bases on the car."""
     groups = (
@@ -299,6 +305,7 @@ def test_a_search_stays_on_the_surface(tmp_path):
         assert naive.sits(corners, [0] * len(corners), 0, surface.side, base, *args)
 
 
+@pytest.mark.slow
 def test_the_resolved_study_says_the_same(tmp_path):
     loaded = study(tmp_path, CAR, on("body", "left", (1.2, 0.5, 0.5), (2.1, 1.1, 0.8)) + ", yaw_deg: [0, 90]")
     again = tmp_path / "again.yaml"

@@ -9,7 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from lidarcfg.cli.schemas import schema
+from lidarcfg.cli.json_schemas import schema
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
@@ -57,6 +57,7 @@ def test_its_value_counts_by_its_weight(toy, write):
     assert pickle.loads(pickle.dumps(study)).objective == study.objective
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "budget"), [("annealing", "evaluations: 100"), ("abc", "cycles: 2")])
 @pytest.mark.parametrize("item", ["mean_height: {}", "mean_height: {above_m: 1, weight: 3}, max_vsr: 1"])
 def test_a_search_minimises_it_and_skipping_changes_nothing(toy, write, item, method, budget):
@@ -66,6 +67,7 @@ def test_a_search_minimises_it_and_skipping_changes_nothing(toy, write, item, me
     assert found.objective == study.cost(np.array([[*one.position_m, *one.rpy_rad] for one in found.rig.mounts]))
 
 
+@pytest.mark.slow
 def test_the_command_takes_and_describes_it(toy, write, tmp_path):
     """All stand as low as they may, at 1.5 m: 0.5 m above 1 m."""
     lidarcfg("optimize", write("mean_height: {above_m: 1}"), "-o", tmp_path / "out", "--quiet")

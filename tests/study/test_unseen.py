@@ -48,6 +48,7 @@ def boxed(tmp_path):
     return make
 
 
+@pytest.mark.slow
 def test_the_shadow_of_a_plate_has_the_volume_of_a_frustum(tmp_path):
     """From the origin a plate of 0.8 m × 0.6 m at x = 1 hides a frustum: ∫ 0.48 x² dx from 1 to 4 m is 10.08 m³."""
     text = """
@@ -77,6 +78,7 @@ OBJECTIVES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("objective", "method", "budget"),
     [
@@ -98,6 +100,7 @@ def test_skipping_changes_no_search(boxed, objective, method, budget):
     assert study.cost(poses) == runs[0].objective
 
 
+@pytest.mark.slow
 def test_the_objective_is_what_the_evaluation_says(boxed):
     study = boxed(OBJECTIVES[2])
     poses = study.poses(np.full((1, int(study.free.sum())), 0.3))[0]

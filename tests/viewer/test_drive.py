@@ -143,6 +143,7 @@ def test_parts_of_a_scene_make_the_whole(contents):
     assert shift.tolist() == [[0, -2, 0], [0, 0, 0], [4.5, 0, 0]]
 
 
+@pytest.mark.slow
 @in_browser
 def test_the_page_shows_one_time(chromium, contents, tmp_path):
     """The vehicle's sensor is on the arc in each frame; the camera follows; scans accumulate; the whole is deskewed."""

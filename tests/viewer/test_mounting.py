@@ -16,6 +16,8 @@ from tests.capture_fixtures import no_warning
 from tests.naive import surfaces as naive
 from tests.viewer.driver import asked, click, drag, in_browser, opened, poses_of, put, serving, settled, shown_vsr, told
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 STANDOFF_M = 0.1
 RADIUS_M = 0.103 / 2

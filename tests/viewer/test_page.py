@@ -44,6 +44,8 @@ from tests.viewer.driver import (
     shown_vsr,
 )
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 STUDY = ROOT / "data/studies/sedan.yaml"
 ROOF = ROOT / "data/rigs/roof.yaml"

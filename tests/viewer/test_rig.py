@@ -33,6 +33,8 @@ from tests.viewer.driver import (
     told,
 )
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 STUDY = """
 region: {min_m: [-8, -5, 0], max_m: [8, 5, 3], cuboid_m: [0.5, 0.5, 0.25]}
@@ -319,7 +321,7 @@ def test_the_opening_view_shows_vehicle_and_worst_subspaces_whole(chromium, name
     contents = load_contents([ROOT / f"data/studies/{name}.yaml"], None, None, np.eye(4), no_warning)
     places = [contents.study.vehicle.scene.mesh()[0]]
     places += [body.faces_m.reshape(-1, 3) for body in score(contents.study, contents.rigs[0], 3).worst]
-    with serving(contents) as url:
+    with serving(contents, worst=3) as url:
         opened(chromium, url)
         for look in ("", "#look-top", "#look-front", "#look-side"):
             if look:

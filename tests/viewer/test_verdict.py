@@ -13,6 +13,8 @@ from lidarcfg.viewer.page import page_of, save_html
 from tests.capture_fixtures import no_warning
 from tests.viewer.driver import asked, click, drag, in_browser, opened, poses_of, put, serving, settled
 
+pytestmark = pytest.mark.slow
+
 STUDY = """
 region: {min_m: [-8, -5, 0], max_m: [8, 5, 3], cuboid_m: [1, 1, 0.5]}
 vehicle: {boxes: [{name: body, center_m: [0, 0, 0.7], size_m: [2, 1, 1.4], exclude: true}]}

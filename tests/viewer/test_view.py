@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.ground_truth import TruthFile, load_objects
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.selection import Selection
 from lidarcfg.cli.view import view
 from lidarcfg.clouds.cloud import PointCloud, save_clouds
-from lidarcfg.core import view as core
+from lidarcfg.core import viewer as core
 from lidarcfg.errors import CloudError, ConfigError, PacketError
 from lidarcfg.geometry import pose, transform
 from lidarcfg.sensors.rig import Rig, load_rig, rig_text
@@ -187,6 +187,7 @@ def test_faces_have_the_surface_that_the_measure_counts(seed):
         )
 
 
+@pytest.mark.slow
 def test_scores_are_those_of_evaluate():
     study = load_study(STUDY)
     rig = study.rig(study.poses(np.full((1, int(study.free.sum())), 0.3))[0])
@@ -206,7 +207,7 @@ def test_objects_of_a_capture_are_the_ones_that_its_points_lie_on(tmp_path, mode
     tilted = tilted_rig()
     rig = replace(tilted, mounts=tuple(replace(mount, return_mode=mode) for mount in tilted.mounts))
     with TruthFile(tmp_path / "t.npz", [m.name for m in rig.mounts], seen.names) as truth:
-        streams = simulated_frames(rig, seen, Trajectory.static(np.eye(4)), 30_000_000, AT_NS, truth.add)
+        streams = simulated_packets(rig, seen, Trajectory.static(np.eye(4)), 30_000_000, AT_NS, truth.add)
         write_pcap(tmp_path / "t.pcap", in_time_order(streams))
         truth.save()
     paths = [tmp_path / "t.pcap", tmp_path / "t.npz"]
@@ -355,6 +356,7 @@ def test_mistakes_of_the_command_line(tmp_path, monkeypatch, words, message):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["above", "camera", "down"])
 def test_stills_are_as_they_were(tmp_path, name):
     """Compared with tests/stills, drawn once and looked at; fonts may differ a little from one machine to another."""
@@ -378,12 +380,14 @@ def test_stills_are_as_they_were(tmp_path, name):
     assert (abs(ours - shifted).max(axis=-1) > 24).mean() > 0.04
 
 
+@pytest.mark.slow
 def test_a_window_has_what_a_still_has():
     staged = Contents(cloud([[1, 2, 3]]), None, (load_rig(ROOF),), load_study(STUDY), (load_scene(STREET),), np.eye(4))
     kinds = [type(part).__name__ for part in parts(staged, "sensor")]
     assert kinds == ["TriangleMesh", "PointCloud", "TriangleMesh", "TriangleMesh", "TriangleMesh", "LineSet", "LineSet"]
 
 
+@pytest.mark.slow
 def test_stills_show_where_bases_may_be_and_zones(tmp_path):
     """The middle of each cell of a roof that bases fit on is green in a view from above; a zone's edges are yellow."""
     text = (STUDY.parent / "mounts.yaml").read_text().replace("../vehicles", str(STUDY.parents[1] / "vehicles"))
@@ -401,6 +405,7 @@ def test_stills_show_where_bases_may_be_and_zones(tmp_path):
     assert ((beside[..., 0] > 130) & (beside[..., 2] < 110)).any(axis=1).all()
 
 
+@pytest.mark.slow
 def test_a_study_with_choices_is_shown_with_the_first(tmp_path):
     """One warning says which, and how to see others."""
     (tmp_path / "choice.yaml").write_text(CHOICE.replace("RETURNS", "10"))

@@ -48,6 +48,7 @@ def test_every_study_has_one():
     assert set(KNOWN) == STUDIES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(STUDIES))
 def test_the_rig_is_as_good_as_it_is_said_to_be(name):
     study = load_study(ROOT / f"data/studies/liu2018-{name}.yaml")

@@ -113,6 +113,7 @@ def test_few_rings_hold_the_whole_region(size_m):
     assert f"{edges[1]:.0e}"[0] in "125"
 
 
+@pytest.mark.slow
 def test_where_the_vehicle_stands():
     assert load_study(ROOT / "data/studies/liu2018-2x16.yaml").reference_m.tolist() == [29.5, 10.0]
     assert load_study(ROOT / "data/studies/sedan.yaml").reference_m.tolist() == [0.0, 0.0]

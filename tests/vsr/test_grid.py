@@ -96,6 +96,7 @@ sites = st.tuples(*[st.integers(-2, 16).map(lambda n: n / 4) | st.floats(-1, 5)]
 lidars_ = st.lists(st.builds(cones, sites, axes, fans), max_size=4)
 
 
+@pytest.mark.slow
 @settings(max_examples=250, deadline=None)
 @given(shapes, edges, lidars_, st.sampled_from([0.0, 0.02, 0.3, 0.9]), st.integers(0, 2**32 - 1))
 def test_rows_equal_the_direct_evaluation(shape, edges, lidars, excluded, seed):
@@ -132,6 +133,7 @@ def test_lines_that_nearly_hit_the_apex(off):
             check(region, [cones(position, axis, (-90, -30, -1e-9, 0, 1e-9, 30, 90))])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("along", [0, 1, 2])
 def test_a_line_of_centres_on_a_cone(along):
     """The line through the apex lies on the cone: rounding alone gives each centre its digit."""
@@ -143,6 +145,7 @@ def test_a_line_of_centres_on_a_cone(along):
     check(region, [rig])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [0, -1])
 def test_a_long_line_that_nears_a_cone(end):
     """Clear of the cone by far more than rounding at one end of the line, and by nothing at the other."""
@@ -173,6 +176,7 @@ def test_labels_equal_breadth_first_search():
     assert len(mine) == count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [0.0, 0.2, 1.5, np.pi])
 def test_the_papers_region(tilt):
     """60 × 20 × 4 m in 48,000 cuboids, four LiDARs of 16 beams."""

@@ -70,6 +70,7 @@ print(peaks[1] - peaks[0])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak is read from /proc")
 def test_an_evaluation_needs_the_memory_that_is_asked_for(tmp_path):
     """Peaks of a process: its study's cuboids, then 64 times as many.

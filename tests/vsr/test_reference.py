@@ -25,6 +25,7 @@ def test_the_papers_method_gives_the_reference(row):
     assert len(subspaces) == row["paper_method_subspaces"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"row{row['row']}")
 def test_the_released_programs_rule_gives_the_published_figure(row):
     found = naive.released_max_vsr(

@@ -11,6 +11,7 @@ STUDIES = Path(__file__).parents[2] / "data/studies"
 WITHOUT_BODY = Path(__file__).parents[1] / "search/studies"  # the sedan, as it was: transparent, a box excluded for it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("study", "seed", "objective", "x"),
     [

@@ -14,6 +14,7 @@ from tests.vsr.test_metric import bodies as bodies_in_blobs
 from tests.vsr.test_subspace import EDGES, bodies, cells
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.tuples(*[st.integers(1, 4)] * 3))
 def test_inscribed_spheres_equal_brute_force(seed, shape):

@@ -46,6 +46,7 @@ def test_the_search_gives_what_optimize_gives(story):
     assert story["cost"] == found.objective
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["auto", "abc", "annealing"])
 def test_place_is_optimize_whatever_the_solver(method):
     """Also where the budget cuts the last batch short, and where costs are smoothed."""

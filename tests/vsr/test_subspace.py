@@ -108,6 +108,7 @@ def test_a_centre_on_a_cone_belongs_to_the_gap_above():
 poses = st.tuples(st.tuples(st.floats(-1, 5), st.floats(-1, 3), st.floats(-1, 2)), st.tuples(*[st.floats(-4, 4)] * 3))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.lists(poses, min_size=1, max_size=3), st.integers(1, len(FAN)))
 def test_the_kernels_equal_their_twins(sensors, beams):

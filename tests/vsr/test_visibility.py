@@ -109,6 +109,7 @@ def test_excluded_bodies_are_no_part_of_the_region(tmp_path):
         study(tmp_path, STUDY + "vehicle: {planes: [{name: lid, size_m: [1, 1], exclude: true}]}\n")
 
 
+@pytest.mark.slow
 def test_what_a_region_hidden_from_all_is(tmp_path):
     loaded = study(
         tmp_path,
@@ -124,6 +125,7 @@ def test_what_a_region_hidden_from_all_is(tmp_path):
     assert found.worst[0].between_deg == [[None, None]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skip", [True, False])
 def test_a_search_sees_what_an_evaluation_sees(tmp_path, skip):
     text = STUDY.replace(
@@ -138,6 +140,7 @@ def test_a_search_sees_what_an_evaluation_sees(tmp_path, skip):
     assert found.objective != max_vsr(loaded.region, rig_lidars(found.rig))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("triangles", visibility_cases.SHARE)
 def test_what_is_hidden_is_what_a_loop_over_all_triangles_says(triangles):
     """Sensors in bowls, under a table's edge, on surfaces and inside; segments that touch an edge may go either way."""
@@ -164,6 +167,7 @@ def test_most_of_a_triangles_shadow_takes_no_segments(seed):
     assert np.array_equal(seen.ravel(), ~hidden)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed", [0, 1, 3, 4, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, *range(5, 12)))]
 )
@@ -199,6 +203,7 @@ def test_the_whole_pipeline_cuboid_by_cuboid(seed):
 CAR = "vehicle: {boxes: [{name: car, center_m: [5, 2, 0.5], size_m: [4, 2, 1]}]MORE}\n"
 
 
+@pytest.mark.slow
 def test_a_sensor_inside_a_body(tmp_path):
     """Refused where it is evaluated, never placed by a search, and told at once where the bounds leave no other place."""
     inside = STUDY.replace("[1, 2, 1]", "[5, 2, 0.5]")

@@ -37,6 +37,7 @@ def by_mpmath(latitude_deg, longitude_deg, xyz_m):
     return found, mpmath.atan2(y, x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("away_m", [0, 1, 1e3, 1e5, 5e6, 1e7, COORDINATE_MAX_M])
 def test_right_to_a_millimetre_at_any_distance(away_m):
     rng = np.random.default_rng(int(away_m))

@@ -116,6 +116,7 @@ def test_a_scene_whose_mesh_lacks_triangles_is_refused_with_its_line(tmp_path):
         Scene.from_meshes({"a": o3d.geometry.TriangleMesh.create_box()}, {"b": 3})
 
 
+@pytest.mark.slow
 def test_a_study_s_vehicle_may_be_triangles(tmp_path):
     path = tmp_path / "study.yaml"
     mesh = Triangles.of(body())

@@ -7,7 +7,7 @@ import pytest
 import velodyne_decoder as vd
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.config.models import Section
@@ -95,7 +95,7 @@ def test_what_is_refused(tmp_path, name, text, match):
 
 
 def captured(tmp_path, rig, stage, trajectory, duration_ns=SECOND_NS // 4, **options):
-    write_pcap(tmp_path / "a.pcap", in_time_order(simulated_frames(rig, stage, trajectory, duration_ns, **options)))
+    write_pcap(tmp_path / "a.pcap", in_time_order(simulated_packets(rig, stage, trajectory, duration_ns, **options)))
     return concatenate(list(decode_pcap(tmp_path / "a.pcap", no_warning, rig)))
 
 
@@ -167,12 +167,12 @@ def test_a_trajectory_that_ends_too_soon(tmp_path):
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
     poses = tuple(TimedPose(time_s=t, position_m=(t, 0, 0)) for t in (0.0, 0.5))
     with pytest.raises(ConfigError, match=r"a pose is needed at 0 to 1 s; the timed poses cover 0 to 0\.5 s"):
-        simulated_frames(Rig("one", (mount(),)), stage, drive(Motion(poses=poses)), SECOND_NS)
+        simulated_packets(Rig("one", (mount(),)), stage, drive(Motion(poses=poses)), SECOND_NS)
     moving = "spheres: [{name: s, center_m: [0, 9, 0], radius_m: 2, reflectivity: 9, motion: {poses: [{time_s: 0, position_m: [0, 0, 0]}, {time_s: 0.5, position_m: [0, 0, 0]}]}}]"
     with pytest.raises(ConfigError, match="s: a pose is needed"):
-        simulated_frames(Rig("one", (mount(),)), scene(tmp_path, moving), STAND, SECOND_NS)
+        simulated_packets(Rig("one", (mount(),)), scene(tmp_path, moving), STAND, SECOND_NS)
     with pytest.raises(ConfigError, match="the vehicle may get 2e"):
-        simulated_frames(Rig("one", (mount(),)), stage, drive(Motion(velocity_m_s=(1e5, 0, 0))), 20_000 * SECOND_NS)
+        simulated_packets(Rig("one", (mount(),)), stage, drive(Motion(velocity_m_s=(1e5, 0, 0))), 20_000 * SECOND_NS)
 
 
 @pytest.mark.parametrize(("rate_hz", "begins_s"), [(1, 0.0), (5, 0.0), (1, 0.7)])
@@ -185,7 +185,7 @@ def test_position_packets_hold_the_last_fix(tmp_path, rate_hz, begins_s):
     begins_ns = START_NS + round(begins_s * SECOND_NS)
     trajectory = drive(Motion(velocity_m_s=(10.0, 0.0, 0.0)), pose((0, 0, 0), (0, 0, np.radians(45))), begins_ns)
     one = replace(mount(), settings=Section({"fix_rate_hz": rate_hz}))
-    streams = simulated_frames(Rig("one", (one,)), stage, trajectory, 5 * SECOND_NS // 4, begins_ns)
+    streams = simulated_packets(Rig("one", (one,)), stage, trajectory, 5 * SECOND_NS // 4, begins_ns)
     write_pcap(tmp_path / "a.pcap", streams[0])
     sent = [d for d in datagrams_of(tmp_path / "a.pcap") if d.port == 8308]
     assert len(sent) == 184  # 147 a second

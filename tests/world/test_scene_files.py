@@ -330,6 +330,7 @@ def test_a_plane_of_surfels_is_the_plane(tmp_path):
     np.testing.assert_allclose(abs(hits.normal @ normal), 1, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_surfels_are_within_a_tenth_of_discs(tmp_path):
     """Hexagons of a disc's area: what hits the disc within lies in one of them, what misses the one around hits none."""
     rng = np.random.default_rng(6)
@@ -372,6 +373,7 @@ def test_points_of_any_file_are_the_same(tmp_path):
         np.testing.assert_array_equal(read_points(tmp_path / name)[1], up / 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "radius", "message"),
     [
@@ -412,6 +414,7 @@ def test_surfels_that_are_refused(tmp_path, name, radius, message):
         scene(tmp_path, SURFELS.format(name, radius))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["png", "npy", "glb", "ply", "pcd", "npz", "las", "laz"])
 def test_damaged_files_are_used_or_refused_in_one_line(tmp_path, suffix):
     """Cut off, or with octets changed, most of them in the header; a warning of a library would be an error here."""

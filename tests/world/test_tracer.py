@@ -39,6 +39,7 @@ def test_by_hand(tmp_path):
     np.testing.assert_allclose(abs(hits.normal), normals, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-3, 0.3, 3.0])
 def test_first_hits_are_those_of_all_triangles(size):
     rng = np.random.default_rng(1)
@@ -54,6 +55,7 @@ def test_first_hits_are_those_of_all_triangles(size):
     np.testing.assert_allclose(hits.range_m, range_m, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_first_hits_are_open3ds():
     """But for float32: where they differ by more than a millimetre, the loop over all triangles shows Open3D's error."""
     rng = np.random.default_rng(2)
@@ -78,6 +80,7 @@ AIMED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "place"), AIMED)
 def test_rays_at_vertices_and_edges_do_not_slip_through(tmp_path, name, place):
     large = name == "large sphere"  # finer in tools/stress.py
@@ -130,6 +133,7 @@ def test_a_limit_only_drops_what_is_beyond():
     assert np.array_equal(limited.triangle, np.where(near, free.triangle, -1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ray_cases.KINDS)
 def test_exact_arithmetic_agrees(kind):
     """Up to 1e8 m from the origin: the range, and whether there is a hit."""
@@ -201,6 +205,7 @@ def test_spheres_of_any_size(tmp_path, radius):
     assert inside == pytest.approx([radius])
 
 
+@pytest.mark.slow
 def test_spheres_and_cylinders_are_their_fine_meshes(tmp_path):
     stage = scene(tmp_path, TEXT.replace("ground: {z_m: -1, reflectivity: 12}", ""))
     vertices, triangles = stage.mesh(1e-3)
@@ -245,6 +250,7 @@ spheres: [{name: c, center_m: [-9, 0, 1], radius_m: 2, reflectivity: 9, motion: 
         assert which == (int(np.argmin(found)) if np.isfinite(min(found)) else -1)
 
 
+@pytest.mark.slow
 def test_two_thousand_moving_boxes(tmp_path):
     """Each at its place, whichever is near: against the few that a ray could hit."""
     rng = np.random.default_rng(11)

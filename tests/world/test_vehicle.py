@@ -119,6 +119,7 @@ def strip(vertices):
     return np.stack([np.arange(n, vertices - 2 + n) for n in range(3)], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "triangles",
     [
@@ -234,6 +235,7 @@ def test_a_mesh_that_cannot_be_used(tmp_path, text, error):
         load_vehicle(tmp_path / "none.stl")
 
 
+@pytest.mark.slow
 def test_a_million_triangles_are_read_and_said(tmp_path):
     sphere = o3d.geometry.TriangleMesh.create_sphere(1.5, 501)
     assert len(sphere.triangles) == 1_002_000
@@ -267,6 +269,7 @@ def test_welding_and_open_edges_are_those_of_numpy():
     }
 
 
+@pytest.mark.slow
 def test_commands_warn_of_a_vehicle(tmp_path):
     save(o3d.io.read_triangle_mesh(SEDAN).scale(1000, np.zeros(3)), tmp_path / "mm.stl")
     text = (ROOT / "data/studies/liu2018-1x4.yaml").read_text()

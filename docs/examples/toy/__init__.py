@@ -37,8 +37,8 @@ class Toy(SequenceTiming, Codec):
     def sent(self, mount, batch, payloads):
         return encode.sent(payloads.data)
 
-    def housekeeping(self, mount, trajectory, origin, start_ns, duration_ns):
-        return telemetry.positions(mount, trajectory, start_ns, duration_ns)
+    def housekeeping(self, mount, trajectory, origin, start_ns, due_ns):
+        return telemetry.positions(mount, trajectory, start_ns, due_ns)
 
     def sidecar_files(self, mount):
         return {".toy.json": self.sensor.model_dump_json(exclude_none=True).encode()}

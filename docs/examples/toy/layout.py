@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lidarcfg.packets.facts import Header, Network
+from lidarcfg.packets.headers import Header, Network
 
 MAGIC = b"TOY1"  # of data packets
 RETURN = np.dtype([("time_ns", "<i8"), ("azimuth", "<f8"), ("range_mm", "<u4"), ("laser", "u1"), ("strength", "u1")])

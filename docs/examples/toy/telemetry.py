@@ -9,11 +9,12 @@ from .layout import HEADER, NETWORK, POSITION, octets
 SECOND_NS = 1_000_000_000
 
 
-def positions(mount, trajectory, start_ns, duration_ns):
+def positions(mount, trajectory, start_ns, due_ns):
     """The position packets."""
-    time_ns = np.arange(start_ns, start_ns + duration_ns, SECOND_NS)
+    first, end = (-(-at_ns // SECOND_NS) for at_ns in (due_ns.start, due_ns.stop))
+    time_ns = start_ns + np.arange(first, end) * SECOND_NS
     packets = np.zeros(len(time_ns), POSITION)
     packets["magic"] = b"TOYP"
     packets["time_ns"] = time_ns
     packets["xyz_m"] = trajectory.world(np.tile(mount.position_m, (len(time_ns), 1)), time_ns)
-    yield Payloads(time_ns, octets(packets), mount.telemetry_port, NETWORK, HEADER)
+    yield Payloads(time_ns, octets(packets), mount.telemetry_port, NETWORK, HEADER, first)

@@ -1,4 +1,4 @@
-/// The module: one submodule for each subject.
+/// The module: a submodule for each package, and `maths` for lidarcfg/maths.py.
 #include <nanobind/nanobind.h>
 
 #include "bind/modules.h"
@@ -11,12 +11,10 @@ NB_MODULE(LIDARCFG_MODULE, module) {
     bind(part);
   };
   add("maths", &bind_maths);
-  add("view", &bind_view);
   add("world", &bind_world);
   add("simulate", &bind_simulate);
   add("packets", &bind_packets);
-  add("ouster", &bind_ouster);
   add("vsr", &bind_vsr);
-  add("visibility", &bind_visibility);
   add("returns", &bind_returns);
+  add("viewer", &bind_viewer);
 }

@@ -12,6 +12,9 @@
 
 namespace lidarcfg::bind {
 
+using Pairs = Shaped<Rows<const double>, -1, 2>;
+using Focal = Shaped<Rows<const double>, -1, 4>;
+
 template <>
 struct Fields<packets::Returns> {
   using T = packets::Returns;
@@ -32,10 +35,10 @@ struct Fields<packets::Slots> {
 template <>
 struct Fields<packets::Lasers> {
   using T = packets::Lasers;
-  static constexpr auto members = fields(field("elevation", &T::elevation), field("azimuth_offset", &T::azimuth_offset),
-                                         field("forward", &T::forward), field("left", &T::left), field("up", &T::up),
-                                         field("distance_offset", &T::distance_offset), field("ring", &T::ring),
-                                         field("near_offset", &T::near_offset), field("focal", &T::focal));
+  static constexpr auto members = fields(
+      field("elevation", &T::elevation), field("azimuth_offset", &T::azimuth_offset), field("forward", &T::forward),
+      field("left", &T::left), field("up", &T::up), field("distance_offset", &T::distance_offset),
+      field("ring", &T::ring), field<Pairs>("near_offset", &T::near_offset), field<Focal>("focal", &T::focal));
 };
 
 template <>
@@ -43,7 +46,7 @@ struct Fields<packets::NearLasers> {
   using T = packets::NearLasers;
   static constexpr auto members =
       fields(field("elevation", &T::elevation), field("azimuth_offset", &T::azimuth_offset), field("left", &T::left),
-             field("distance_offset", &T::distance_offset), field("near_offset", &T::near_offset));
+             field("distance_offset", &T::distance_offset), field<Pairs>("near_offset", &T::near_offset));
 };
 
 template <>
@@ -66,6 +69,10 @@ struct Fields<packets::hesai::PacketFields> {
 namespace {
 
 using Bytes = Rows<const std::uint8_t>;
+template <class Maker>
+using Recorded = Shaped<Bytes, -1, Maker::packet_bytes>;
+template <class Maker>
+using Encoded = Shaped<Rows<std::uint8_t>, -1, Maker::packet_bytes>;
 
 constexpr Index lasers_max = 256;           // a byte says which one
 constexpr std::int64_t time_max_ns = 1e12;  // of a packet, so that sums of times are exact
@@ -91,34 +98,28 @@ packets::Limits limits_of(const std::array<double, 4>& values) {
 
 void check_returns(const packets::Returns& out) {
   const std::size_t count = out.xyz_m.size();
-  require(out.time_ns.size() == count, "out.time_ns: one for each of xyz_m");
-  require(out.laser.size() == count, "out.laser: one for each of xyz_m");
-  require(out.ring.size() == count, "out.ring: one for each of xyz_m");
-  require(out.intensity.size() == count, "out.intensity: one for each of xyz_m");
-  require(out.return_type.size() == count, "out.return_type: one for each of xyz_m");
+  using R = packets::Returns;
+  require_columns(out, "out", "one for each of xyz_m",
+                  std::tuple(&R::time_ns, &R::laser, &R::ring, &R::intensity, &R::return_type), count);
   require(out.range_m.empty() || out.range_m.size() == count, "out.range_m: none, or one for each of xyz_m");
   require(out.azimuth_rad.size() == out.range_m.size(), "out.azimuth_rad: one for each of range_m");
 }
 
-void check_packets(Bytes packets, Index bytes, View<const bool> wanted) {
-  require(packets.columns() == bytes, "packets: of another size");
-  require(std::ssize(wanted) == packets.rows(), "wanted: one for each packet");
+void check_wanted(View<const bool> wanted, Index packets) {
+  require(std::ssize(wanted) == packets, "wanted: one for each packet");
 }
 
 void check_lasers(const packets::Lasers& lasers) {
   const std::size_t count = lasers.elevation.size();
   require(0 < count && count <= lasers_max, "lasers.elevation: of 1 to 256 lasers");
-  require(lasers.azimuth_offset.size() == count, "lasers.azimuth_offset: one for each elevation");
-  require(lasers.forward.size() == count, "lasers.forward: one for each elevation");
-  require(lasers.left.size() == count, "lasers.left: one for each elevation");
-  require(lasers.up.size() == count, "lasers.up: one for each elevation");
-  require(lasers.distance_offset.size() == count, "lasers.distance_offset: one for each elevation");
-  require(lasers.ring.size() == count, "lasers.ring: one for each elevation");
-  const auto is_table = [count](Rows<const double> rows, Index columns) {
-    return rows.columns() == columns && (rows.rows() == 0 || rows.rows() == static_cast<Index>(count));
+  using L = packets::Lasers;
+  require_columns(lasers, "lasers", "one for each elevation",
+                  std::tuple(&L::azimuth_offset, &L::forward, &L::left, &L::up, &L::distance_offset, &L::ring), count);
+  const auto is_table = [count](Rows<const double> rows) {
+    return rows.rows() == 0 || rows.rows() == static_cast<Index>(count);
   };
-  require(is_table(lasers.near_offset, 2), "lasers.near_offset: none, or two for each elevation");
-  require(is_table(lasers.focal, 4), "lasers.focal: none, or four for each elevation");
+  require(is_table(lasers.near_offset), "lasers.near_offset: none, or one for each elevation");
+  require(is_table(lasers.focal), "lasers.focal: none, or one for each elevation");
 }
 
 void check_slots(const packets::Slots& slots, Index lasers) {
@@ -128,8 +129,7 @@ void check_slots(const packets::Slots& slots, Index lasers) {
   require(groups > 0 && groups * width <= packets::slots_per_packet,
           "slots.fraction: of groups that fill at most a packet");
   require(slots.fraction.columns() == width, "slots.fraction: one for each laser");
-  require(slots.offset_ns.rows() == groups && slots.offset_ns.columns() == width,
-          "slots.offset_ns: one for each fraction");
+  require(has_shape(slots.offset_ns, groups, width), "slots.offset_ns: one for each fraction");
   require(std::ssize(slots.kind) == width && all_below(slots.kind, 2), "slots.kind: 0 or 1 for each laser");
   require(slots.other.empty() || (std::ssize(slots.other) == width && all_below(slots.other, width)),
           "slots.other: none, or a slot for each laser");
@@ -141,12 +141,9 @@ void check_times(std::int64_t period_ns, std::int64_t group_ns) {
   require(0 < group_ns && group_ns <= time_max_ns, "group_ns: allowed: 1 to 10^12");
 }
 
-void check_encoded(Rows<const double> range_m, Bytes reflectivity, View<const std::int64_t> number, Bytes packets,
-                   Index bytes) {
-  require(packets.columns() == bytes, "packets: of another size");
+void check_encoded(Rows<const double> range_m, Bytes reflectivity, View<const std::int64_t> number, Bytes packets) {
   require(range_m.rows() == packets.rows(), "range_m: a row for each packet");
-  require(reflectivity.rows() == range_m.rows() && reflectivity.columns() == range_m.columns(),
-          "reflectivity: one for each range");
+  require(has_shape(reflectivity, range_m.rows(), range_m.columns()), "reflectivity: one for each range");
   require(std::ssize(number) <= packets::slots_per_packet, "number: more than 384 slots");
   require(all_below(number, range_m.columns()), "number: beyond the ranges");
 }
@@ -154,7 +151,7 @@ void check_encoded(Rows<const double> range_m, Bytes reflectivity, View<const st
 template <class Maker>
 void bind_blocks(nb::module_& module, const char* decoder, const char* write) {
   using Decoder = packets::BlockDecoder<Maker>;
-  nb::class_<Decoder> type(module, decoder);
+  nb::class_<Decoder> type(module, decoder, "Decodes data packets (P, size) of one sensor.");
   init(
       type,
       [](const packets::Slots& slots, const packets::Lasers& lasers, std::int64_t period_ns, std::int64_t group_ns,
@@ -165,38 +162,42 @@ void bind_blocks(nb::module_& module, const char* decoder, const char* write) {
         check_times(period_ns, group_ns);
         return Decoder(slots, lasers, period_ns, group_ns, unit_m);
       },
-      "Tables of slots and lasers, and distances in units of metres.", "slots", "lasers", "period_ns", "group_ns",
-      "unit_m");
+      "Copies the tables. From packet to packet it is period_ns, from group to group of blocks group_ns.", "slots",
+      "lasers", "period_ns", "group_ns", "unit_m");
   def(
       type, "count",
-      [](const Decoder& self, Bytes packets, View<const bool> wanted) {
-        check_packets(packets, Maker::packet_bytes, wanted);
+      [](const Decoder& self, Recorded<Maker> packets, View<const bool> wanted) {
+        check_wanted(wanted, packets.rows());
         return self.count(packets, wanted);
       },
-      "How many returns the packets that are wanted hold at most.", "packets", "wanted");
+      "How many returns the packets that are wanted (P,) hold at most.", "packets", "wanted");
   def(
       type, "decode",
-      [](const Decoder& self, Bytes packets, View<const bool> wanted, View<const std::int64_t> stamp_ns,
+      [](const Decoder& self, Recorded<Maker> packets, View<const bool> wanted, View<const std::int64_t> stamp_ns,
          View<const std::int64_t> gap_ns, View<const std::uint8_t> kind, const packets::Returns& out) {
-        check_packets(packets, Maker::packet_bytes, wanted);
+        check_wanted(wanted, packets.rows());
         require(stamp_ns.size() == wanted.size(), "stamp_ns: one for each packet");
         require(gap_ns.size() == wanted.size(), "gap_ns: one for each packet");
         require(kind.size() == wanted.size(), "kind: one for each packet");
         check_returns(out);
         return self.decode(packets, wanted, stamp_ns, gap_ns, kind, out);
       },
-      "Fill in an entry for each return of the packets that are wanted; returns how many.", "packets", "wanted",
-      "stamp_ns", "gap_ns", "kind", "out");
+      R"(Fill in an entry for each return of the packets that are wanted (P,); returns how many.
+
+Stamps, the times to the next ones (0 for the last) and the types of single returns are (P,).)",
+      "packets", "wanted", "stamp_ns", "gap_ns", "kind", "out");
   def(
       module, write,
       [](Rows<const double> range_m, Bytes reflectivity, View<const std::int64_t> number, View<const double> offset_m,
-         std::array<double, 4> limits, Rows<std::uint8_t> packets) {
-        check_encoded(range_m, reflectivity, number, packets, Maker::packet_bytes);
+         std::array<double, 4> limits, Encoded<Maker> packets) {
+        check_encoded(range_m, reflectivity, number, packets);
         require(offset_m.size() == number.size(), "offset_m: one for each number");
         return packets::write_returns<Maker>(range_m, reflectivity, number, offset_m, limits_of(limits), packets);
       },
-      "Write returns into the blocks of packets.", "range_m", "reflectivity", "number", "offset_m", "limits",
-      "packets");
+      R"(Write into packets (P, size): slot s holds return number[s] of range_m and reflectivity (P, N).
+
+Limits are the least and greatest range, the unit, and how many units there may be.)",
+      "range_m", "reflectivity", "number", "offset_m", "limits", "packets");
 }
 
 void bind_velodyne(nb::module_& module) {
@@ -205,48 +206,42 @@ void bind_velodyne(nb::module_& module) {
       module, "write_velodyne_near_returns",
       [](Rows<const double> range_m, Bytes reflectivity, Rows<const double> azimuth, View<const std::int64_t> number,
          View<const std::int64_t> laser, const packets::NearLasers& lasers, std::array<double, 4> limits,
-         Rows<std::uint8_t> packets) {
-        check_encoded(range_m, reflectivity, number, packets, packets::Velodyne::packet_bytes);
+         Encoded<packets::Velodyne> packets) {
+        check_encoded(range_m, reflectivity, number, packets);
         const std::size_t count = lasers.elevation.size();
         require(azimuth.rows() == range_m.rows() &&
                     (azimuth.columns() == range_m.columns() || 2 * azimuth.columns() == range_m.columns()),
                 "azimuth: one for each range or pair of ranges");
         require(laser.size() == number.size() && all_below(laser, count), "laser: one of the lasers for each number");
-        require(lasers.azimuth_offset.size() == count, "lasers.azimuth_offset: one for each elevation");
-        require(lasers.left.size() == count, "lasers.left: one for each elevation");
-        require(lasers.distance_offset.size() == count, "lasers.distance_offset: one for each elevation");
-        require(lasers.near_offset.rows() == static_cast<Index>(count) && lasers.near_offset.columns() == 2,
-                "lasers.near_offset: two for each elevation");
+        using L = packets::NearLasers;
+        const char* const why = "one for each elevation";
+        require_columns(lasers, "lasers", why, std::tuple(&L::azimuth_offset, &L::left, &L::distance_offset), count);
+        require_columns(lasers, "lasers", why, std::tuple(&L::near_offset), count, 2);
         packets::write_near_returns(range_m, reflectivity, azimuth, number, laser, lasers, limits_of(limits), packets);
       },
-      "Write those returns again whose distances are corrected for x and y apart.", "range_m", "reflectivity",
-      "azimuth", "number", "laser", "lasers", "limits", "packets");
+      "Write those returns again whose distances are corrected for x and y apart: at azimuth (P, N or N / 2).",
+      "range_m", "reflectivity", "azimuth", "number", "laser", "lasers", "limits", "packets");
   def(
       module, "uncorrect_velodyne_intensities",
-      [](View<const std::int64_t> laser, Rows<const double> focal, Rows<std::uint8_t> packets) {
-        require(packets.columns() == packets::Velodyne::packet_bytes, "packets: of another size");
+      [](View<const std::int64_t> laser, Focal focal, Encoded<packets::Velodyne> packets) {
         require(std::ssize(laser) <= packets::slots_per_packet, "laser: more than 384 slots");
-        require(focal.columns() == 4, "focal: four for each laser");
         require(all_below(laser, focal.rows()), "laser: beyond the rows of focal");
         packets::uncorrect_intensities(laser, focal, packets);
       },
-      "Write intensities again: of which the corrections make what they are.", "laser", "focal", "packets");
+      "Write intensities again: those that the corrections (L, 4) make what they are, or come nearest.", "laser",
+      "focal", "packets");
 }
 
 void check_hesai_lasers(const packets::hesai::Lasers& lasers) {
   const std::size_t count = lasers.ring.size();
   require(0 < count && count <= lasers_max, "lasers.ring: of 1 to 256 lasers");
-  require(lasers.cos_elevation.size() == count, "lasers.cos_elevation: one for each ring");
-  require(lasers.sin_elevation.size() == count, "lasers.sin_elevation: one for each ring");
-  require(lasers.cos_offset.size() == count, "lasers.cos_offset: one for each ring");
-  require(lasers.sin_offset.size() == count, "lasers.sin_offset: one for each ring");
+  using L = packets::hesai::Lasers;
+  require_columns(lasers, "lasers", "one for each ring",
+                  std::tuple(&L::cos_elevation, &L::sin_elevation, &L::cos_offset, &L::sin_offset), count);
   require(lasers.offset_ns.rows() > 0 && lasers.offset_ns.columns() == static_cast<Index>(count),
           "lasers.offset_ns: at least one loop, with one for each ring");
-  const auto is_by_laser = [&](Rows<const std::int64_t> rows) {
-    return rows.rows() == lasers.offset_ns.rows() && rows.columns() == lasers.offset_ns.columns();
-  };
-  require(is_by_laser(lasers.near_ns), "lasers.near_ns: one for each of offset_ns");
-  require(is_by_laser(lasers.lag_ns), "lasers.lag_ns: one for each of offset_ns");
+  require_columns(lasers, "lasers", "one for each of offset_ns", std::tuple(&L::near_ns, &L::lag_ns),
+                  lasers.offset_ns.rows(), count);
 }
 
 void check_hesai_layout(const packets::hesai::Layout& layout) {
@@ -257,7 +252,7 @@ void check_hesai_layout(const packets::hesai::Layout& layout) {
 
 void bind_hesai(nb::module_& module) {
   using packets::hesai::Decoder;
-  nb::class_<Decoder> type(module, "HesaiDecoder");
+  nb::class_<Decoder> type(module, "HesaiDecoder", "Decodes packets (P, size) of one sensor.");
   init(
       type,
       [](const packets::hesai::Lasers& lasers, Index blocks, Index return_bytes, double near_m, int least) {
@@ -266,38 +261,33 @@ void bind_hesai(nb::module_& module) {
         require(blocks % 2 == 0, "blocks: an even number");
         return Decoder(lasers, blocks, return_bytes, {near_m, least});
       },
-      "Tables of lasers.", "lasers", "blocks", "return_bytes", "near_m", "least");
+      "Copies the tables. Distances of less than `least` units are no returns, those below `near_m` have near_ns.",
+      "lasers", "blocks", "return_bytes", "near_m", "least");
   def(
       type, "count",
       [](const Decoder& self, Bytes packets, View<const bool> wanted) {
         require(packets.columns() >= self.layout().end(), "packets: too short for the blocks");
-        require(std::ssize(wanted) == packets.rows(), "wanted: one for each packet");
+        check_wanted(wanted, packets.rows());
         return self.count(packets, wanted);
       },
-      "How many returns the packets that are wanted hold at most.", "packets", "wanted");
+      "How many returns the packets that are wanted (P,) hold at most.", "packets", "wanted");
   def(
       type, "decode",
       [](const Decoder& self, Bytes packets, View<const bool> wanted, const packets::hesai::PacketFields& fields,
          const packets::Returns& out) {
-        const std::size_t count = packets.rows();
+        using F = packets::hesai::PacketFields;
+        const Index count = packets.rows();
         require(packets.columns() >= self.layout().end(), "packets: too short for the blocks");
-        require(wanted.size() == count, "wanted: one for each packet");
-        require(fields.unit_mm.size() == count, "fields.unit_mm: one for each packet");
-        const Index blocks = self.layout().blocks;
-        const auto is_by_block = [=](const auto& rows) {
-          return rows.rows() == static_cast<Index>(count) && rows.columns() == blocks;
-        };
-        require(is_by_block(fields.start_ns), "fields.start_ns: one for each block of each packet");
-        require(is_by_block(fields.loop) && all_below(flat(fields.loop), self.loops()),
-                "fields.loop: one of the loops for each block of each packet");
-        require(fields.dual.size() == count, "fields.dual: one for each packet");
-        require(fields.near.size() == count, "fields.near: one for each packet");
-        require(fields.far.size() == count, "fields.far: one for each packet");
-        require(fields.turn.size() == count, "fields.turn: one for each packet");
+        check_wanted(wanted, count);
+        require_columns(fields, "fields", "one for each packet",
+                        std::tuple(&F::unit_mm, &F::dual, &F::near, &F::far, &F::turn), count);
+        require_columns(fields, "fields", "one for each block of each packet", std::tuple(&F::start_ns, &F::loop),
+                        count, self.layout().blocks);
+        require(all_below(flat(fields.loop), self.loops()), "fields.loop: one of the loops");
         check_returns(out);
         return self.decode(packets, wanted, fields, out);
       },
-      "Fill in an entry for each return of the packets that are wanted; returns how many.", "packets", "wanted",
+      "Fill in an entry for each return of the packets that are wanted (P,); returns how many.", "packets", "wanted",
       "fields", "out");
   def(
       module, "write_hesai_returns",
@@ -314,19 +304,27 @@ void bind_hesai(nb::module_& module) {
         require(laser.rows() == count && laser.columns() % groups == 0, "laser: for each packet, as many a group");
         require(all_below(flat(laser), lasers), "laser: beyond the lasers");
         require(range_m.tables() == count && range_m.rows() == laser.columns(), "range_m: one or two for each laser");
-        require(reflectivity.tables() == count && reflectivity.rows() == range_m.rows() &&
-                    reflectivity.columns() == range_m.columns(),
-                "reflectivity: one for each range");
+        require(has_shape(reflectivity, count, range_m.rows(), range_m.columns()), "reflectivity: one for each range");
         require(all_below(column, range_m.columns()), "column: beyond the returns");
         packets::hesai::write_returns(range_m, reflectivity, laser, column, inside, limits_of(limits), layout, packets);
       },
-      "Write returns into the blocks of packets.", "range_m", "reflectivity", "laser", "column", "inside", "limits",
-      "lasers", "return_bytes", "packets");
+      R"(Write into packets (P, size): block b holds column[b] of range_m and reflectivity (P, G F, R).
+
+Those are of laser (P, G F), if the group of blocks is inside (P, G).)",
+      "range_m", "reflectivity", "laser", "column", "inside", "limits", "lasers", "return_bytes", "packets");
 }
 
 }  // namespace
 
 void bind_packets(nb::module_& module) {
+  record<packets::Returns>(module, "Returns",
+                           "Columns of returns, to be written; those that are not asked for are empty.");
+  record<packets::Slots>(module, "BlockSlots", "The slots of a packet's groups of blocks.");
+  record<packets::Lasers>(module, "BlockLasers", "The lasers of a sensor whose packets are blocks.");
+  record<packets::NearLasers>(module, "NearLasers",
+                              "The lasers of a sensor whose distances near by have offsets of their own.");
+  record<packets::hesai::Lasers>(module, "HesaiLasers", "The lasers of a Hesai sensor, and when they fire.");
+  record<packets::hesai::PacketFields>(module, "HesaiFields", "What Hesai packets say beside their blocks.");
   def(
       module, "crc32_mpeg2",
       [](Bytes packets, Index first, Index end) {
@@ -337,24 +335,24 @@ void bind_packets(nb::module_& module) {
         }
         return out;
       },
-      "The CRC of each packet's bytes from first until end.", "packets", "first", "end");
+      "The CRC (P,) of each packet's bytes from first until end.", "packets", "first", "end");
   bind_velodyne(module);
   bind_blocks<packets::Robosense>(module, "RobosenseDecoder", "write_robosense_returns");
   bind_blocks<packets::Airy>(module, "AiryDecoder", "write_airy_returns");
   bind_hesai(module);
+  bind_packets_ouster(module);
   def(
       module, "fire",
       [](View<const double> revolutions, View<const std::int64_t> stamp_ns, View<const std::int64_t> offset_ns,
          double revolutions_per_ns, Rows<std::int64_t> time_ns, Rows<double> encoder_rad) {
         require(stamp_ns.size() == revolutions.size(), "stamp_ns: one for each of revolutions");
-        require(time_ns.rows() == std::ssize(revolutions) && time_ns.columns() == std::ssize(offset_ns),
+        require(has_shape(time_ns, std::ssize(revolutions), std::ssize(offset_ns)),
                 "time_ns: for each of revolutions, one for each of offset_ns");
-        require(encoder_rad.rows() == time_ns.rows() && encoder_rad.columns() == time_ns.columns(),
-                "encoder_rad: one for each of time_ns");
+        require(has_shape(encoder_rad, time_ns.rows(), time_ns.columns()), "encoder_rad: one for each of time_ns");
         packets::fire(revolutions, stamp_ns, offset_ns, revolutions_per_ns, time_ns, encoder_rad);
       },
-      "Write times and azimuths of firings.", "revolutions", "stamp_ns", "offset_ns", "revolutions_per_ns", "time_ns",
-      "encoder_rad");
+      "Write times and azimuths (P, N) of firings that come at offsets (N,) after stamps (P,).", "revolutions",
+      "stamp_ns", "offset_ns", "revolutions_per_ns", "time_ns", "encoder_rad");
 }
 
 }  // namespace lidarcfg::bind

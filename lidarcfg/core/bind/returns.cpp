@@ -3,7 +3,7 @@
 
 #include "bind/arguments.h"
 #include "bind/modules.h"
-#include "bind/sight.h"
+#include "bind/world.h"
 #include "maths.h"
 #include "returns/clusters.h"
 #include "returns/known_returns.h"
@@ -21,6 +21,9 @@ using returns::Standing;
 using returns::TargetShape;
 using world::Obstacles;
 using Scanners = std::vector<const Scanner*>;
+using Places = View<const std::array<double, 4>>;
+using Rotations = Shaped<Tables<const double>, -1, 3, 3>;
+using Positions = View<const Vec3>;
 
 void require_finite(View<const double> values, const char* message) {
   require(std::all_of(values.begin(), values.end(), [](double one) { return std::isfinite(one); }), message);
@@ -28,8 +31,9 @@ void require_finite(View<const double> values, const char* message) {
 
 Scanner make_scanner(View<const double> cos_head, View<const double> sin_head, double start_rad, double step_rad,
                      std::int64_t phases, View<const double> lag_rad, View<const double> gating_rad,
-                     View<const double> offset_rad, View<const double> elevation_rad, Rows<const double> start_m,
-                     View<const std::int32_t> phase, std::array<double, 2> range_m, std::array<double, 2> fov_rad) {
+                     View<const double> offset_rad, View<const double> elevation_rad,
+                     Shaped<Rows<const double>, -1, 3> start_m, View<const std::int32_t> phase,
+                     std::array<double, 2> range_m, std::array<double, 2> fov_rad) {
   const auto firings = lag_rad.size();
   require(cos_head.size() == sin_head.size(), "sin_head: one for each cos_head");
   require(step_rad == 0 || (step_rad >= 1e-8 && step_rad <= 10), "step_rad: not 0, nor from 1e-8 to 10");
@@ -39,7 +43,7 @@ Scanner make_scanner(View<const double> cos_head, View<const double> sin_head, d
   require(gating_rad.size() == firings, "gating_rad: one for each firing");
   require(offset_rad.size() == firings, "offset_rad: one for each firing");
   require(elevation_rad.size() == firings, "elevation_rad: one for each firing");
-  require(start_m.rows() == std::ssize(lag_rad) && start_m.columns() == 3, "start_m: three numbers for each firing");
+  require(start_m.rows() == std::ssize(lag_rad), "start_m: one for each firing");
   if (step_rad == 0) {
     require(std::ssize(cos_head) == phases, "cos_head: one for each phase, where heads stand still");
     require(phase.size() == firings, "phase: one for each firing, where heads stand still");
@@ -59,24 +63,22 @@ Scanner make_scanner(View<const double> cos_head, View<const double> sin_head, d
                                 elevation_rad, start_m, phase, range_m, fov_rad});
 }
 
-std::vector<Place> places_of(Rows<const double> places) {
-  require(places.columns() == 4, "places: four columns");
+std::vector<Place> places_of(Places places) {
   std::vector<Place> out;
-  for (Index p = 0; p < places.rows(); ++p) {
-    const View<const double> one = places[p];
-    out.push_back({{one[0], one[1], one[2]}, lidarcfg::cos(one[3]), lidarcfg::sin(one[3])});
+  for (const auto& [x, y, z, heading] : places) {
+    out.push_back({{x, y, z}, lidarcfg::cos(heading), lidarcfg::sin(heading)});
   }
   return out;
 }
 
-std::vector<SensorPose> poses_of(Index sensors, Tables<const double> R, Rows<const double> t) {
-  require(R.tables() == sensors && R.rows() == 3 && R.columns() == 3, "R: a matrix for each sensor");
-  require(t.rows() == sensors && t.columns() == 3, "t: three numbers for each sensor");
+std::vector<SensorPose> poses_of(Index sensors, Rotations R, Positions t) {
+  require(R.tables() == sensors, "R: a matrix for each sensor");
+  require(std::ssize(t) == sensors, "t: one for each sensor");
   std::vector<SensorPose> out(sensors);
   for (Index s = 0; s < sensors; ++s) {
     for (Index k = 0; k < 3; ++k) {
       out[s].R[k] = {R(s, k, 0), R(s, k, 1), R(s, k, 2)};
-      out[s].t[k] = t(s, k);
+      out[s].t[k] = t[s][k];
     }
   }
   return out;
@@ -85,7 +87,7 @@ std::vector<SensorPose> poses_of(Index sensors, Tables<const double> R, Rows<con
 /// The rig of a call, whose arguments are checked.
 class CheckedRig {
  public:
-  CheckedRig(const KnownReturns& known, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t)
+  CheckedRig(const KnownReturns& known, View<const std::int64_t> scanners, Rotations R, Positions t)
       : scanners_(scanners), poses_(poses_of(std::ssize(scanners), R, t)) {
     for (const std::int64_t one : scanners) {
       require(0 <= one && one < known.scanners(), "scanners: no number of a scanner");
@@ -111,11 +113,6 @@ void check_places(View<const std::int64_t> which, Index places) {
   }
 }
 
-template <class T>
-void check_table(Rows<T> table, Index places, const Scanners& scanners, const char* message) {
-  require(table.rows() == places && table.columns() == std::ssize(scanners), message);
-}
-
 void check_phases(const Scanners& scanners) {
   for (const Scanner* one : scanners) {
     require(one->phases() < 128, "scanners: too many phases");
@@ -123,22 +120,27 @@ void check_phases(const Scanners& scanners) {
 }
 
 void bind_shapes(nb::module_& module) {
-  nb::class_<Scanner> scanner(module, "Scanner", "A sensor's firing pattern, whatever its pose; it does not change.");
-  init(scanner, make_scanner, "Heads at the start of cycles of all phases, and the firings of a cycle.", "cos_head",
-       "sin_head", "start_rad", "step_rad", "phases", "lag_rad", "gating_rad", "offset_rad", "elevation_rad", "start_m",
-       "phase", "range_m", "fov_rad");
-  scanner.def_prop_ro("phases", [](const Scanner& self) { return self.phases(); });
+  nb::class_<Scanner> scanner(
+      module, "Scanner",
+      "A sensor's firing pattern, whatever its pose: H heads of all phases, F firings a cycle; it does not change.");
+  init(scanner, make_scanner,
+       R"(Heads (H,) when cycles start; angles and start_m (F, 3) of firings; ranges; field of view.
+
+With a step of 0 heads stand still: there is one a phase, and `phase` (F,) says which each firing is of.)",
+       "cos_head", "sin_head", "start_rad", "step_rad", "phases", "lag_rad", "gating_rad", "offset_rad",
+       "elevation_rad", "start_m", "phase", "range_m", "fov_rad");
+  scanner.def_prop_ro("phases", [](const Scanner& self) { return self.phases(); }, "Head n is of phase n % phases.");
   nb::class_<TargetShape> target(module, "TargetShape", "An object in its own frame; it does not change.");
   init(
       target, [](const world::Bvh& bvh, Vec3 low_m, Vec3 high_m) { return TargetShape{bvh, low_m, high_m}; },
-      "Its hierarchy and the corners of its bounding box.", "bvh", "low_m", "high_m");
+      "Its hierarchy and the corners (3,) of its bounding box.", "bvh", "low_m", "high_m");
 }
 
-KnownReturns make_known(Scanners scanners, std::vector<const TargetShape*> objects, Rows<const double> places,
+KnownReturns make_known(Scanners scanners, std::vector<const TargetShape*> objects, Places places,
                         View<const std::int64_t> ends, const Obstacles& obstacles) {
   require(ends.size() == objects.size() && !ends.empty(), "ends: one for each object");
   require(ends.front() >= 0 && std::ranges::is_sorted(ends), "ends: not ascending");
-  require(ends.back() == places.rows(), "ends: not up to the last place");
+  require(ends.back() == std::ssize(places), "ends: not up to the last place");
   const std::vector<Place> all = places_of(places);
   std::vector<Standing> standing;
   std::int64_t first = 0;
@@ -155,47 +157,54 @@ KnownReturns make_known(Scanners scanners, std::vector<const TargetShape*> objec
 }
 
 void bind_known(nb::module_& module) {
-  nb::class_<KnownReturns> known(module, "KnownReturns",
-                                 "The returns from objects at their places, of sensors at poses, rig after rig.");
-  init(known, make_known, "For scanners, and objects whose places end one after the other.", "scanners", "objects",
-       "places", "ends", "obstacles");
+  nb::class_<KnownReturns> known(
+      module, "KnownReturns",
+      R"(The returns from objects at their places, of sensors at poses, rig after rig; threads share what each has found.
+
+A rig is S sensors, each of a scanner by number, at R (S, 3, 3), t (S, 3).)");
+  init(known, make_known,
+       "Objects at places (P, 4), those of one after those of the other, which end at ends (objects,).", "scanners",
+       "objects", "places", "ends", "obstacles");
   def(
       known, "misses",
-      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
-         View<const double> weights, std::int32_t enough, double most) {
+      [](KnownReturns& self, View<const std::int64_t> scanners, Rotations R, Positions t, View<const double> weights,
+         std::int32_t enough, double most) {
         const CheckedRig rig(self, scanners, R, t);
         require(std::ssize(weights) == self.objects(), "weights: one for each object");
         check_enough(enough);
         return self.misses(rig.at(), weights, enough, most);
       },
-      "The weighted mean over objects of the share of places with too few returns.", "scanners", "R", "t", "weights",
-      "enough", "most");
+      R"(The weighted mean over objects of the share of places with fewer than `enough` returns.
+
+By the mean over phases; or, as soon as it is known to be at least `most`, any number that is.)",
+      "scanners", "R", "t", "weights", "enough", "most");
   def(
       known, "missed",
-      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
-         Index object, std::int32_t enough, double most) {
+      [](KnownReturns& self, View<const std::int64_t> scanners, Rotations R, Positions t, Index object,
+         std::int32_t enough, double most) {
         const CheckedRig rig(self, scanners, R, t);
         check_object(self, object);
         check_enough(enough);
         return self.missed(rig.at(), object, enough, most);
       },
-      "In how many places an object is missed.", "scanners", "R", "t", "object", "enough", "most");
+      "In how many of its places an object is missed, by the mean over phases; or any number from `most` on.",
+      "scanners", "R", "t", "object", "enough", "most");
   def(
       known, "missed_among",
-      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
-         Index object, std::int32_t enough, Index count) {
+      [](KnownReturns& self, View<const std::int64_t> scanners, Rotations R, Positions t, Index object,
+         std::int32_t enough, Index count) {
         const CheckedRig rig(self, scanners, R, t);
         check_object(self, object);
         check_enough(enough);
         require(0 <= count, "count: below 0");
         return self.missed_among(rig.at(), object, enough, count);
       },
-      "In how many of those places that are the likeliest to be missed an object is.", "scanners", "R", "t", "object",
-      "enough", "count");
+      "The same among so many of these places, the likeliest to be missed: no more than `missed`.", "scanners", "R",
+      "t", "object", "enough", "count");
   def(
       known, "probabilities",
-      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
-         Index object, View<const std::int64_t> which, std::int32_t enough, View<double> missed) {
+      [](KnownReturns& self, View<const std::int64_t> scanners, Rotations R, Positions t, Index object,
+         View<const std::int64_t> which, std::int32_t enough, View<double> missed) {
         const CheckedRig rig(self, scanners, R, t);
         check_object(self, object);
         check_places(which, self.places(object));
@@ -203,29 +212,30 @@ void bind_known(nb::module_& module) {
         require(missed.size() == which.size(), "missed: one for each place");
         self.probabilities(rig.at(), object, which, enough, missed);
       },
-      "How likely an object is missed at some of its places.", "scanners", "R", "t", "object", "which", "enough",
-      "missed");
+      "Write to missed (N,) how likely an object is missed at some, which (N,), of its places.", "scanners", "R", "t",
+      "object", "which", "enough", "missed");
   def(
       known, "lowest",
-      [](KnownReturns& self, View<const std::int64_t> scanners, Tables<const double> R, Rows<const double> t,
-         Index object, View<const std::int64_t> which, std::int32_t cap, std::int64_t wanted, Rows<std::int32_t> counts,
+      [](KnownReturns& self, View<const std::int64_t> scanners, Rotations R, Positions t, Index object,
+         View<const std::int64_t> which, std::int32_t cap, std::int64_t wanted, Rows<std::int32_t> counts,
          Rows<std::int8_t> phases) {
         const CheckedRig rig(self, scanners, R, t);
         check_object(self, object);
         check_places(which, self.places(object));
         const auto places = static_cast<Index>(which.size());
         const auto sensors = static_cast<Index>(scanners.size());
-        require(counts.rows() == places && counts.columns() == sensors,
-                "counts: a row for each place, a column for each sensor");
-        require(phases.rows() == places && phases.columns() == sensors,
-                "phases: a row for each place, a column for each sensor");
+        require(has_shape(counts, places, sensors), "counts: a row for each place, a column for each sensor");
+        require(has_shape(phases, places, sensors), "phases: a row for each place, a column for each sensor");
         require(cap >= 1 && cap < 1 << 24, "cap: not from 1 to 2^24");
         self.lowest(rig.at(), object, which, cap, wanted, {counts, phases});
       },
-      "Count each sensor's returns in its worst phase, up to a cap.", "scanners", "R", "t", "object", "which", "cap",
-      "wanted", "counts", "phases");
-  known.def_prop_ro("memory_bytes", &KnownReturns::memory_bytes);
-  known.def_prop_ro("traced", &KnownReturns::traced);
+      R"(Write the returns (N, S) in each sensor's worst phase at some places, at most `cap`, and that phase.
+
+At each place the nearest sensors come first; once `wanted` of them have `cap` the others are unknown: -1.)",
+      "scanners", "R", "t", "object", "which", "cap", "wanted", "counts", "phases");
+  known.def_prop_ro("memory_bytes", &KnownReturns::memory_bytes,
+                    "What is known of sensors at poses takes no more memory.");
+  known.def_prop_ro("traced", &KnownReturns::traced, "How many pairs of sensor and place were traced so far.");
 }
 
 }  // namespace
@@ -235,29 +245,29 @@ void bind_returns(nb::module_& module) {
   bind_known(module);
   def(
       module, "count_returns",
-      [](Rows<const double> places, View<const std::int64_t> which, Scanners scanners, Tables<const double> R,
-         Rows<const double> t, const TargetShape& target, const Obstacles& obstacles, Tables<std::int32_t> counts) {
+      [](Places places, View<const std::int64_t> which, Scanners scanners, Rotations R, Positions t,
+         const TargetShape& target, const Obstacles& obstacles, Tables<std::int32_t> counts) {
         const std::vector<SensorPose> poses = poses_of(std::ssize(scanners), R, t);
-        require(counts.tables() == places.rows(), "counts: a table for each place");
+        require(counts.tables() == std::ssize(places), "counts: a table for each place");
         require(counts.rows() == std::ssize(scanners), "counts: a row for each scanner");
         for (const Scanner* one : scanners) {
           require(one->phases() <= counts.columns(), "counts: a column for each phase");
         }
-        check_places(which, places.rows());
+        check_places(which, std::ssize(places));
         returns::count_returns(places_of(places), which, scanners, poses, target, obstacles, counts);
       },
-      "Count the returns from an object at some of its places.", "places", "which", "scanners", "R", "t", "target",
-      "obstacles", "counts");
+      "Write to counts (P, S, phases) the returns from an object at some, which (N,), of places (P, 4).", "places",
+      "which", "scanners", "R", "t", "target", "obstacles", "counts");
   def(
       module, "count_clusters",
-      [](Rows<const double> places, View<const std::int64_t> which, Scanners scanners, Tables<const double> R,
-         Rows<const double> t, const TargetShape& target, const Obstacles& obstacles, double tolerance_m,
-         double above_m, std::int64_t lost, std::int64_t sensors, bool joint, std::int32_t cap,
-         View<std::int32_t> counts, Rows<std::int8_t> phases) {
+      [](Places places, View<const std::int64_t> which, Scanners scanners, Rotations R, Positions t,
+         const TargetShape& target, const Obstacles& obstacles, double tolerance_m, double above_m, std::int64_t lost,
+         std::int64_t sensors, bool joint, std::int32_t cap, View<std::int32_t> counts, Rows<std::int8_t> phases) {
         const std::vector<SensorPose> poses = poses_of(std::ssize(scanners), R, t);
-        check_places(which, places.rows());
-        require(std::ssize(counts) == places.rows(), "counts: one for each place");
-        check_table(phases, places.rows(), scanners, "phases: a row for each place, a column for each scanner");
+        check_places(which, std::ssize(places));
+        require(std::ssize(counts) == std::ssize(places), "counts: one for each place");
+        require(has_shape(phases, std::ssize(places), std::ssize(scanners)),
+                "phases: a row for each place, a column for each scanner");
         check_phases(scanners);
         require(tolerance_m > 0, "tolerance_m: not above 0");
         require(0 <= lost && lost < std::ssize(scanners), "lost: not below the number of scanners");
@@ -265,22 +275,26 @@ void bind_returns(nb::module_& module) {
         returns::count_clusters(places_of(places), which, scanners, poses, target, obstacles, {tolerance_m, above_m},
                                 {lost, sensors, joint, cap}, counts, phases);
       },
-      "The points of the largest cluster of returns, in the worst case.", "places", "which", "scanners", "R", "t",
-      "target", "obstacles", "tolerance_m", "above_m", "lost", "sensors", "joint", "cap", "counts", "phases");
+      R"(Write the points (P,) of the largest cluster in the worst case, and the phases (P, S) there; -1: lost.
+
+Neighbours in a cluster are within a tolerance, and one of its points is at least at the height `above_m`.
+With `lost` sensors gone; of all others together, or if `sensors` is not 0 of each of so many alone. Of all
+combinations of phases where `joint`, else with each sensor in that of its fewest returns. Values of `cap` or
+more are bounds.)",
+      "places", "which", "scanners", "R", "t", "target", "obstacles", "tolerance_m", "above_m", "lost", "sensors",
+      "joint", "cap", "counts", "phases");
   def(
       module, "largest_cluster",
-      [](Rows<const double> points, double tolerance_m, double above_m) {
-        require(points.columns() == 3, "points: three columns");
+      [](View<const Vec3> points, double tolerance_m, double above_m) {
         require(tolerance_m > 0, "tolerance_m: not above 0");
         returns::Clusters clusters({tolerance_m, above_m});
-        std::vector<Vec3> all;
-        for (Index n = 0; n < points.rows(); ++n) {
-          all.push_back({points(n, 0), points(n, 1), points(n, 2)});
-        }
-        clusters.add(all);
+        clusters.add(points);
         return clusters.largest();
       },
-      "The points of the largest cluster with one that is high enough.", "points", "tolerance_m", "above_m");
+      R"(The number of points of the largest cluster of points (N, 3) that has one at least at a height.
+
+Neighbours are within a tolerance: single linkage.)",
+      "points", "tolerance_m", "above_m");
   def(
       module, "detection_probabilities",
       [](Tables<const std::int32_t> counts, View<const std::int64_t> phases, Index enough) {
@@ -294,7 +308,8 @@ void bind_returns(nb::module_& module) {
         }
         return returns::detection_probabilities(counts, phases, enough);
       },
-      "The probability of enough returns at each place.", "counts", "phases", "enough");
+      "(P,) the probability of at least so many returns of counts (P, S, phases), each sensor in any of its phases.",
+      "counts", "phases", "enough");
 }
 
 }  // namespace lidarcfg::bind

@@ -1,6 +1,6 @@
 #include "bind/arguments.h"
 #include "bind/modules.h"
-#include "bind/sight.h"
+#include "bind/world.h"
 #include "vsr/components.h"
 #include "vsr/cones.h"
 #include "vsr/evaluator.h"
@@ -22,10 +22,19 @@ struct Columns<const vsr::Links> {
 };
 
 template <>
+struct Fields<vsr::Sight> {
+  using S = vsr::Sight;
+  static constexpr auto members =
+      fields(field<Shaped<Rows<const double>, -1, vsr::limit_columns>>("limits", &S::limits),
+             field("obstacles", &S::obstacles));
+};
+
+template <>
 struct Fields<vsr::Placed> {
   using P = vsr::Placed;
-  static constexpr auto members =
-      fields(field("cones", &P::cones), field("limits", &P::limits), field("obstacles", &P::obstacles));
+  static constexpr auto members = fields(
+      field("cones", &P::cones), field<Shaped<Tables<const double>, -1, -1, vsr::limit_columns>>("limits", &P::limits),
+      field("obstacles", &P::obstacles));
 };
 
 template <>
@@ -57,6 +66,8 @@ namespace {
 
 using namespace vsr;
 
+using Counter = Shaped<View<std::int64_t>, 1>;
+
 void check_cones(Rows<const double> cones) {
   require(cones.columns() >= Cones::first_beam, "cones: at least six columns");
 }
@@ -67,12 +78,7 @@ void check_placed(const Placed& placed, Index count, Index lidars) {
   require(placed.cones.columns() >= Cones::first_beam, "placed.cones: at least six columns");
   require(placed.limits.tables() == count, "placed.limits: a table for each");
   require(placed.limits.rows() == 0 || placed.limits.rows() == lidars, "placed.limits: a row for each LiDAR, or none");
-  require(placed.limits.columns() == limit_columns, "placed.limits: nine columns");
-  check_obstacles(placed.obstacles, "placed.obstacles.boxes: neither (6, 16) nor (6, 0)");
-}
-
-void check_flags(Rows<const bool> flags, Index count, Index lidars, const char* message) {
-  require(flags.rows() == count && flags.columns() == lidars, message);
+  check_obstacles(placed.obstacles);
 }
 
 void check_batch(const TrialEvaluator& evaluator, const Batch& batch, const BatchResult& result) {
@@ -81,12 +87,12 @@ void check_batch(const TrialEvaluator& evaluator, const Batch& batch, const Batc
   const Index rows = evaluator.grid().rows();
   check_placed(batch.placed, count, lidars);
   require(std::ssize(batch.upper_bound) == count, "upper_bound: one for each trial");
-  check_flags(batch.moved, count, lidars, "moved: a flag for each LiDAR of each trial");
-  check_flags(batch.same_position, count, lidars, "same_position: a flag for each LiDAR of each trial");
+  require_columns(batch, "batch", "a flag for each LiDAR of each trial",
+                  std::tuple(&Batch::moved, &Batch::same_position), count, lidars);
   require(batch.certificates.rows() == count, "certificates: a row for each trial");
-  require(batch.links.tables() == 0 || (batch.links.rows() == lidars && batch.links.columns() == rows),
+  require(batch.links.tables() == 0 || has_shape(batch.links, batch.links.tables(), lidars, rows),
           "links: of each LiDAR, a row for each of the grid's");
-  require(batch.clear.tables() == 0 || (batch.clear.rows() == lidars && batch.clear.columns() == rows),
+  require(batch.clear.tables() == 0 || has_shape(batch.clear, batch.clear.tables(), lidars, rows),
           "clear: of each LiDAR, a word for each row of the grid");
   for (Index trial = 0; trial < count; ++trial) {
     const Index source = batch.source[trial];
@@ -101,13 +107,13 @@ void check_batch(const TrialEvaluator& evaluator, const Batch& batch, const Batc
               "certificates: not a cuboid of a case");
     }
   }
-  require(std::ssize(result.cost) == count, "cost: one for each trial");
-  require(std::ssize(result.refuted_by) == count, "refuted_by: one for each trial");
-  require(result.certificates.rows() == count && result.certificates.columns() == evaluator.certificates(),
-          "result.certificates: as many for each trial as the evaluator finds");
-  require(result.links.rows() == 0 || (result.links.rows() == count && result.links.columns() == rows),
+  using R = BatchResult;
+  require_columns(result, "result", "one for each trial", std::tuple(&R::cost, &R::refuted_by), count);
+  require_columns(result, "result", "as many for each trial as the evaluator finds", std::tuple(&R::certificates),
+                  count, evaluator.certificates());
+  require(result.links.rows() == 0 || has_shape(result.links, count, rows),
           "result.links: for each trial a row for each of the grid's, or none");
-  require(result.clear.rows() == 0 || (result.clear.rows() == count && result.clear.columns() == rows),
+  require(result.clear.rows() == 0 || has_shape(result.clear, count, rows),
           "result.clear: for each trial a word for each row of the grid, or none");
   require(result.clear.rows() == 0 || batch.placed.limited(), "result.clear: none where everything is seen");
 }
@@ -118,8 +124,8 @@ void check_sources(const TrialEvaluator& evaluator, const Sources& sources) {
   const Index rows = evaluator.grid().rows();
   const bool limited = sources.placed.limited();
   check_placed(sources.placed, count, lidars);
-  check_flags(sources.changed, count, lidars, "changed: a flag for each LiDAR of each source");
-  check_flags(sources.same_position, count, lidars, "same_position: a flag for each LiDAR of each source");
+  require_columns(sources, "sources", "a flag for each LiDAR of each source",
+                  std::tuple(&Sources::changed, &Sources::same_position), count, lidars);
   require(sources.links.rows() == lidars && sources.links.columns() == rows,
           "links: of each LiDAR, a row for each of the grid's");
   require(!limited || (sources.clear.rows() == lidars && sources.clear.columns() == rows),
@@ -141,8 +147,8 @@ Array<std::int64_t, 2> bound_beam_gaps(View<const Vec3> points, Rows<const doubl
 
 Array<Word, 2> bound_seen(const Grid& grid, Rows<const double> cones, const Sight& sight) {
   check_cones(cones);
-  check_sight(sight, cones.rows());
-  require(sight.limited() || cones.rows() == 0, "sight.limits: a row for each LiDAR");
+  require(sight.limits.rows() >= cones.rows(), "sight.limits: a row for each LiDAR");
+  check_obstacles(sight.obstacles);
   const auto lidars = static_cast<std::size_t>(cones.rows());
   const auto rows = static_cast<std::size_t>(grid.rows());
   Array<Word, 2> out{std::vector<Word>(lidars * rows), {lidars, rows}};
@@ -172,7 +178,7 @@ std::tuple<std::vector<std::int64_t>, Array<std::int64_t, 2>, std::vector<std::i
   for (Index row = 0; row < grid.rows(); ++row) {
     require((links[row] & grid.links[row]) == links[row], "links: not of neighbours in the grid");
   }
-  require(label.tables() == nx && label.rows() == ny && label.columns() == nz, "label: of the grid's shape");
+  require(has_shape(label, nx, ny, nz), "label: of the grid's shape");
   require(label.size() < std::numeric_limits<std::int32_t>::max(), "label: fewer than 2^31 cuboids");
   Components found = label_components(grid, links, label);
   const std::size_t count = found.cuboids.size();
@@ -183,29 +189,43 @@ std::tuple<std::vector<std::int64_t>, Array<std::int64_t, 2>, std::vector<std::i
 }  // namespace
 
 void bind_vsr(nb::module_& module) {
-  nb::class_<Grid> grid(module, "Grid", "A region as rows of bits; it does not change.");
+  record<Sight>(module, "Sight", "What LiDARs at known poses may see.");
+  record<Placed>(module, "Placed", "LiDARs at poses.");
+  record<Batch>(module, "Batch", "Trials to evaluate, and what is known of their food sources.");
+  record<BatchResult>(module, "BatchResult", "What becomes of trials, to be written.");
+  record<Sources>(module, "Sources", "Food sources whose links are to be recomputed.");
+  nb::class_<Grid> grid(module, "Grid",
+                        "A region as rows of bits, 64 cuboids along x, with a margin; it does not change.");
   init(
       grid,
       [](View<const double> x, View<const double> y, View<const double> z, View<const Word> included, Vec3 edge,
          View<const double> weight,
          Rows<const Word> weighted) { return Grid(x, y, z, included, edge, weight, weighted); },
-      "A region's centres, the cuboids that count, their edges, and their weights.", "x", "y", "z", "included", "edge",
-      "weight", "weighted");
+      "Centres (nx,), (ny,), (nz,); included (rows,); edge (3,); weight (levels,); weighted (levels, rows).", "x", "y",
+      "z", "included", "edge", "weight", "weighted");
   grid.def_prop_ro("rows", &Grid::rows, "How many rows of bits it has, those of the margin too.");
   grid.def_prop_ro("chunks", &Grid::step_y, "How many rows there are along x.");
   grid.def_prop_ro(
       "shape",
       [](const Grid& self) {
         const auto [nx, ny, nz] = self.shape();
-        return nb::make_tuple(nx, ny, nz);
+        return nb::typed<nb::tuple, Index, Index, Index>(nb::make_tuple(nx, ny, nz));
       },
       "The cuboids along each axis.");
 
-  def(module, "beam_gaps", bound_beam_gaps, "The beam gap index of points for each LiDAR.", "points", "cones");
-  def(module, "seen", bound_seen, "Which cuboids each LiDAR sees.", "grid", "cones", "sight");
-  def(module, "links", bound_links, "Write the links of a grid by some LiDARs.", "grid", "cones", "seen", "out");
-  def(module, "label_components", bound_components, "Label the connected subspaces of a grid.", "grid", "links",
-      "label");
+  def(module, "beam_gaps", bound_beam_gaps,
+      "(N, lidars) the beam gap index of points (N, 3) for each LiDAR of cones (lidars, 6 + beams).", "points",
+      "cones");
+  def(module, "seen", bound_seen, "(lidars, rows) which cuboids each LiDAR sees.", "grid", "cones", "sight");
+  def(module, "links", bound_links,
+      "Write to out (rows, 3) the links by LiDARs that see seen (lidars, rows), or everything: (0, rows).", "grid",
+      "cones", "seen", "out");
+  def(module, "label_components", bound_components,
+      R"(Write the number of each cuboid's subspace under links (rows, 3) to label (nx, ny, nz), −1 where excluded.
+
+Returns cuboids (n,) in each, internal faces (n, 3) of each across x, y and z, and the first cuboid (n,) of
+each.)",
+      "grid", "links", "label");
 
   nb::class_<TrialEvaluator> evaluator(module, "TrialEvaluator", "Evaluates trials. Not for several threads at once.");
   init(
@@ -215,25 +235,28 @@ void bind_vsr(nb::module_& module) {
         require(1 <= certificates && certificates <= 1 << 20, "certificates: not from 1 to 2^20");
         return TrialEvaluator(grid, cases, certificates);
       },
-      "For rigs in a grid, with the LiDARs of each case.", "grid", "cases", "certificates");
+      "For rigs in a grid, with the LiDARs of each of the cases (cases, lidars).", "grid", "cases", "certificates");
   def(
       evaluator, "evaluate_batch",
-      [](TrialEvaluator& self, View<std::int64_t> counter, Index most, const Batch& batch, bool in_full,
+      [](TrialEvaluator& self, Counter counter, Index most, const Batch& batch, bool in_full,
          const BatchResult& result) {
-        require(std::ssize(counter) == 1, "counter: one number");
         check_batch(self, batch, result);
         const Effort effort = self.evaluate_batch(counter, most, batch, in_full, result);
         return std::tuple(effort.full_cases, effort.compared_rows, effort.cast_segments);
       },
-      "Evaluate the next trials of a batch.", "counter", "most", "batch", "in_full", "result");
+      R"(Evaluate the next trials, at most so many, that a counter (1,) has, and write what becomes of them.
+
+Returns how many cases were evaluated in full, how many rows were compared with cones for other trials, and
+how many segments were cast.)",
+      "counter", "most", "batch", "in_full", "result");
   def(
       evaluator, "recompute_links",
-      [](TrialEvaluator& self, View<std::int64_t> counter, Index most, const Sources& sources) {
-        require(std::ssize(counter) == 1, "counter: one number");
+      [](TrialEvaluator& self, Counter counter, Index most, const Sources& sources) {
         check_sources(self, sources);
         self.recompute_links(counter, most, sources);
       },
-      "Compute the links of LiDARs that have changed of the next food sources.", "counter", "most", "sources");
+      "Compute the links of changed LiDARs of the next food sources of a counter (1,), at most so many.", "counter",
+      "most", "sources");
 
   def(
       module, "promote_certificates",
@@ -246,8 +269,12 @@ void bind_vsr(nb::module_& module) {
         }
         promote_certificates(certificates, source, refuted_by);
       },
-      "Move what refuted trials to the front of their sources' certificates.", "certificates", "source", "refuted_by");
-  bind_detection(module);
+      R"(Move what refuted trials (n,), in their order, to the front of their sources' certificates (sources, c).
+
+Where refuted_by is −1, no certificate has, and source does not matter.)",
+      "certificates", "source", "refuted_by");
+  bind_vsr_columns(module);
+  bind_vsr_detection(module);
 }
 
 }  // namespace lidarcfg::bind

@@ -1,4 +1,4 @@
-/// The returns in packets, as columns: `lidarcfg.packets.codec.Returns`.
+/// The returns in packets, as columns.
 #pragma once
 
 #include "views.h"

@@ -195,4 +195,22 @@ void Aim<Width>::place(const Poses& poses, Rays<Width>& rays) const {
 template class Aim<thin>;
 template class Aim<wide>;
 
+void aim_firings(const Lasers& lasers, const Mounting& mounting, const Firings& firings, Rows<double> origins_m,
+                 Rows<double> directions) {
+  const Batches batches = divide(firings, most_beams, 0);
+  Aim<thin> aim(lasers, mounting);
+  Rays<thin> rays;
+  for (Index b = 0; b < batches.count(); ++b) {
+    const View<const Index> which = batches[b];
+    aim.set(firings, which, firings.laser[which[0]]);
+    aim.in_world(rays);
+    for (int axis = 0; axis < 3; ++axis) {
+      for (Index n = 0; n < std::ssize(which); ++n) {
+        origins_m(which[n], axis) = rays.origins[axis][n];
+        directions(which[n], axis) = rays.directions[axis][n];
+      }
+    }
+  }
+}
+
 }  // namespace lidarcfg::simulate

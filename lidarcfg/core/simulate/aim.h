@@ -100,4 +100,8 @@ class Aim {
 extern template class Aim<thin>;
 extern template class Aim<wide>;
 
+/// Write where the beams of N firings start in the world (N, 3), and their unit vectors (N, 3). Lasers are `thin`.
+void aim_firings(const Lasers& lasers, const Mounting& mounting, const Firings& firings, Rows<double> origins_m,
+                 Rows<double> directions);
+
 }  // namespace lidarcfg::simulate

@@ -5,7 +5,7 @@ To read in this order: `layout` has the bytes, `model` what differs between mode
 of the package uses.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -16,22 +16,22 @@ from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.hesai import decode, encode, telemetry
 from lidarcfg.packets.hesai.emulator import HesaiEmulator
 from lidarcfg.packets.hesai.layout import bytes_of
-from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, unit, unit_of
+from lidarcfg.packets.hesai.model import HesaiFacts, HesaiSettings, HesaiUnit, batches, unit, unit_of
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Pattern, ranked
 from lidarcfg.sensors.rig import SINGLE, Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.units import MINUTE_NS
 
-__all__ = ["Facts", "Hesai", "Settings", "Unit", "unit"]
+__all__ = ["Hesai", "HesaiFacts", "HesaiSettings", "HesaiUnit", "unit"]
 
 
 class Hesai(Codec):
     """The packets of one Hesai sensor, whose clock is taken as set by PTP: it sends no GPS packets."""
 
     point_fields = STAMPED
-    facts_model = Facts
-    settings_model = Settings
+    facts_model = HesaiFacts
+    settings_model = HesaiSettings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
@@ -47,8 +47,8 @@ class Hesai(Codec):
         unit = unit_of(self.unit, mount)
         return PacketPace(unit.period_ns(mount.dual), unit.groups(mount.dual) * unit.lasers.shape[1])
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        return batches(unit_of(self.unit, mount), mount, start_ns, packets, chunk)
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        return batches(unit_of(self.unit, mount), mount, start_ns, spans)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         packets = encode.encode(unit_of(self.unit, mount), mount, batch, range_m, reflectivity)
@@ -92,7 +92,7 @@ class Hesai(Codec):
             source.on_warning(f"{source.where}: {what}")
             return decode.HesaiDecoder(source.where, unit, source.driver_view)
         sensor = unit.sensor.model_copy(update={"beams": beams})
-        return decode.HesaiDecoder(source.where, Unit(sensor, unit.facts), source.driver_view)
+        return decode.HesaiDecoder(source.where, HesaiUnit(sensor, unit.facts), source.driver_view)
 
     def emulator(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> HesaiEmulator:
         """Answers PTC commands."""
@@ -114,5 +114,5 @@ class Hesai(Codec):
         return Pattern(len(loop) * group_rad, unit.lasers[loop].ravel(), lag_rad, lag_rad)
 
 
-def _units(known: KnownSensors) -> Sequence[Unit]:
+def _units(known: KnownSensors) -> Sequence[HesaiUnit]:
     return [unit(sensor) for sensor in known()]

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from lidarcfg.packets.hesai.layout import (
     is_dual,
     return_bytes,
 )
-from lidarcfg.packets.hesai.model import Unit, resolutions, sending
+from lidarcfg.packets.hesai.model import HesaiUnit, resolutions, sending
 from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
 from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST
 from lidarcfg.units import MINUTE_NS
@@ -49,35 +48,10 @@ PAIR_KINDS = {  # the nearer return, the farther
 }
 
 
-class PacketFields(NamedTuple):
-    """The fields of P packets, without the returns in their blocks."""
-
-    unit_mm: Bytes  # (P,) of distances
-    start_ns: Times  # (P, B) when each block starts
-    loop: Bytes  # (P, B) which lasers fire, and when
-    dual: Flags  # (P,) whether neighbouring blocks hold two returns of the same firings
-    near: Bytes  # (P,) the type of a pair's nearer return, or of single returns
-    far: Bytes  # (P,) the type of a pair's farther return
-    turn: Array  # (P,) the head's radians a nanosecond; 0: all lasers of a block point alike
-
-
-class HesaiLasers(NamedTuple):
-    """The angles of the L lasers and when they fire."""
-
-    cos_elevation: Array
-    sin_elevation: Array
-    cos_offset: Array  # of the azimuth offset
-    sin_offset: Array
-    ring: Bytes
-    offset_ns: Times  # (loops, L) after the block's start
-    near_ns: Times  # (loops, L) the same for what is near
-    lag_ns: Times  # (loops, L) how long the head turns from a block's azimuth to the laser's
-
-
 class HesaiDecoder(Decoder):
     """Decodes the packets of one Hesai sensor."""
 
-    def __init__(self, where: str, unit: Unit, driver_view: bool = False) -> None:
+    def __init__(self, where: str, unit: HesaiUnit, driver_view: bool = False) -> None:
         self._where = where
         self._unit = unit
         self._driver_view = driver_view
@@ -123,7 +97,7 @@ class HesaiDecoder(Decoder):
 
 
 def decode(
-    unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True, driver_view: bool = False
+    unit: HesaiUnit, packets: Packets, wanted: Flags | None = None, polar: bool = True, driver_view: bool = False
 ) -> DecodedReturns:
     """The returns of packets (P,), or of those that are wanted (P,). Without `polar`, ranges and azimuths are empty.
 
@@ -142,7 +116,7 @@ def decode(
         near[mode], far[mode] = pair
     dual = is_dual(packets)
     start_ns, loop = _blocks(unit, packets, dual, driver_view)
-    fields = PacketFields(
+    fields = core.HesaiFields(
         unit_mm=np.ascontiguousarray(packets["header"]["unit_mm"]),
         start_ns=start_ns,
         loop=loop,
@@ -154,10 +128,10 @@ def decode(
     data = bytes_of(packets)
     decoder = _decoder(unit)
     out = DecodedReturns.allocate(decoder.count(data, wanted), polar)
-    return out.first(decoder.decode(data, wanted, fields, out))
+    return out.first(decoder.decode(data, wanted, fields, core.Returns(*out)))
 
 
-def _blocks(unit: Unit, packets: Packets, dual: Flags, driver_view: bool) -> tuple[Times, Bytes]:
+def _blocks(unit: HesaiUnit, packets: Packets, dual: Flags, driver_view: bool) -> tuple[Times, Bytes]:
     """(P, B) when the blocks of packets start, and their loops: of all resolutions, one after the other."""
     standard, *others = resolutions(unit)
     start_ns = _starts_ns(standard, packets, dual, driver_view)
@@ -171,14 +145,14 @@ def _blocks(unit: Unit, packets: Packets, dual: Flags, driver_view: bool) -> tup
     return start_ns, loop.astype(np.uint8)
 
 
-def _starts_ns(unit: Unit, packets: Packets, dual: Flags, driver_view: bool = False) -> Times:
+def _starts_ns(unit: HesaiUnit, packets: Packets, dual: Flags, driver_view: bool = False) -> Times:
     """(P, B): when the blocks of packets of this resolution start."""
     group_ns = unit.driver_group_ns if driver_view else unit.group_ns
     after_ns = np.stack([group_ns(dual=False), np.repeat(group_ns(dual=True), 2)])
     return np.asarray(device_time_ns(packets)[:, None] + after_ns[dual.astype(np.int64)])
 
 
-def _loops(unit: Unit, packets: Packets, dual: Flags) -> Bytes:
+def _loops(unit: HesaiUnit, packets: Packets, dual: Flags) -> Bytes:
     """(P, B): which loop's lasers fire in the blocks of packets of this resolution."""
     count = len(unit.fires)
     if unit.facts.packet.protocol == "1.4":
@@ -189,14 +163,14 @@ def _loops(unit: Unit, packets: Packets, dual: Flags) -> Bytes:
     return loop
 
 
-def check(unit: Unit, packets: Packets) -> None:
+def check(unit: HesaiUnit, packets: Packets) -> None:
     """Raises PacketError for packets that are not this model's, or are invalid."""
     for wrong, value, describe in _mistakes(unit, packets):
         if wrong.any():
             raise PacketError(describe(int(value[wrong][0])))
 
 
-def _mistakes(unit: Unit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.integer], Callable[[int], str]]]:
+def _mistakes(unit: HesaiUnit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.integer], Callable[[int], str]]]:
     """For each kind of mistake: which packets (P,) have it, their values, and a sentence about it."""
     header = packets["header"]
     name = unit.name
@@ -228,9 +202,9 @@ def _other(name: str, key: str, right: int | str, value: int) -> str:
 
 
 @lru_cache
-def _decoder(unit: Unit) -> core.HesaiDecoder:
+def _decoder(unit: HesaiUnit) -> core.HesaiDecoder:
     sensor = unit.sensor
-    lasers = HesaiLasers(
+    lasers = core.HesaiLasers(
         cos_elevation=maths.cos(sensor.elevation_rad),
         sin_elevation=maths.sin(sensor.elevation_rad),
         cos_offset=maths.cos(sensor.azimuth_offset_rad),
@@ -259,7 +233,7 @@ def _older(size: int, payload: bytes) -> str | None:
     return next((name for name, (start, sizes) in OLDER.items() if size in sizes and payload.startswith(start)), None)
 
 
-def identify(where: str, packets: Bytes, known: Sequence[Unit]) -> Unit:
+def identify(where: str, packets: Bytes, known: Sequence[HesaiUnit]) -> HesaiUnit:
     """Which of the known sensors sends these packets (P, size). Raises PacketError, which begins with `where`."""
     if older := _older(packets.shape[1], packets[0].tobytes()):
         names = ", ".join(unit.name for unit in known)
@@ -277,7 +251,7 @@ def identify(where: str, packets: Bytes, known: Sequence[Unit]) -> Unit:
     raise PacketError(f"{where} sends Hesai's {what}; read are {names}")
 
 
-def as_sent(where: str, unit: Unit, packets: Bytes) -> Unit:
+def as_sent(where: str, unit: HesaiUnit, packets: Bytes) -> HesaiUnit:
     """The unit with packets of those parts that the headers of these (P, size) say.
 
     Raises PacketError unless these are as long.
@@ -300,7 +274,7 @@ def _protocol(header: np.void) -> str:
     return f"{header['major']}.{header['minor']}"
 
 
-def _sends(unit: Unit, header: np.void) -> bool:
+def _sends(unit: HesaiUnit, header: np.void) -> bool:
     """Whether packets with this header may be the unit's, whatever their size."""
     facts = unit.facts.packet
     low, high = facts.models or (0, 255)
@@ -308,7 +282,7 @@ def _sends(unit: Unit, header: np.void) -> bool:
     return layout == (_protocol(header), header["lasers"], header["blocks"]) and low <= header["model"] <= high
 
 
-def _as_said(unit: Unit, header: np.void) -> Unit:
+def _as_said(unit: HesaiUnit, header: np.void) -> HesaiUnit:
     """The unit, of the header's protocol, with the parts that its flags say; without a sequence as the file says."""
     flags = int(header["flags"])
     return sending(unit, flags) if unit.facts.packet.models and flags & SEQUENCE else unit

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from lidarcfg.packets.codec import PacketSource
 from lidarcfg.packets.emulator import Answer, Emulator, NetworkSite, RequestError, Service, Target
-from lidarcfg.packets.hesai.model import Unit
+from lidarcfg.packets.hesai.model import HesaiUnit
 from lidarcfg.packets.hesai.telemetry import FIRING_TIMES, SUFFIX, correction_lines, find_corrections
 
 PORT = 9347
@@ -50,7 +50,7 @@ INVENTORY = struct.Struct(">18s16s6s16s16s16s16s")  # serial number, date, MAC, 
 class HesaiEmulator(Emulator):
     """A Hesai's PTC."""
 
-    def __init__(self, unit: Unit, source: PacketSource, site: NetworkSite) -> None:
+    def __init__(self, unit: HesaiUnit, source: PacketSource, site: NetworkSite) -> None:
         self.name = unit.name
         self.services: Sequence[Service] = (Service("PTC", "tcp", PORT, self._answer, request_size),)
         self._unit = unit
@@ -118,7 +118,7 @@ def _unknown(command: int, why: str = "") -> Answer:
     return _frame(command, UNSUPPORTED, b"", f"asks for PTC command 0x{command:02X}, which is not emulated{why}")
 
 
-def _corrections(unit: Unit, source: PacketSource) -> bytes:
+def _corrections(unit: HesaiUnit, source: PacketSource) -> bytes:
     """The angle correction file beside the capture, or one of the model's angles. Raises PacketError."""
     beams = find_corrections(source, unit.count)
     if beams is None:
@@ -128,7 +128,7 @@ def _corrections(unit: Unit, source: PacketSource) -> bytes:
     return source.sidecar_files(SUFFIX)[beams.source]
 
 
-def _firing_times(unit: Unit, source: PacketSource) -> bytes:
+def _firing_times(unit: HesaiUnit, source: PacketSource) -> bytes:
     """The firing time file beside the capture, or one of the model's times, in the form of Hesai's; empty: none."""
     files = source.sidecar_files(FIRING_TIMES)
     own = [content for name, content in files.items() if name.endswith(f"-{source.host}-{source.port}{FIRING_TIMES}")]

@@ -19,7 +19,7 @@ from lidarcfg.packets.hesai.layout import (
     date_of,
     return_bytes,
 )
-from lidarcfg.packets.hesai.model import Unit, within
+from lidarcfg.packets.hesai.model import HesaiUnit, within
 from lidarcfg.sensors.firing import FiringBatch
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
@@ -30,7 +30,7 @@ COUNTER_NS = 5_111_060  # the rolling counter's step, 46 periods, as recorded
 COUNTERS = 6  # its values 0 to 5
 
 
-def encode(unit: Unit, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
+def encode(unit: HesaiUnit, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of a batch and what it measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
     dual = mount.dual
     pair = unit.columns(mount.return_mode)
@@ -81,7 +81,7 @@ def encode(unit: Unit, mount: Mount, batch: FiringBatch, range_m: Array, reflect
     return packets
 
 
-def sent(unit: Unit, packets: Packets, return_mode: str, laser: Bytes) -> Flags:
+def sent(unit: HesaiUnit, packets: Packets, return_mode: str, laser: Bytes) -> Flags:
     """(N, 1) or (N, 2) of firings of `laser` (N,): which are returns in the packets; of two alike, the first."""
     returns = packets["blocks"]["returns"]
     pair = unit.columns(return_mode)
@@ -102,7 +102,7 @@ def sent(unit: Unit, packets: Packets, return_mode: str, laser: Bytes) -> Flags:
     return found
 
 
-def holds_one(unit: Unit, range_m: Array, reflectivity: Bytes) -> Flags:
+def holds_one(unit: HesaiUnit, range_m: Array, reflectivity: Bytes) -> Flags:
     """(N,): which pairs of ranges (N, 2) hold a single return, once or twice."""
     least_m, most_m = unit.range.reported_m
     inside = (range_m >= least_m) & (range_m <= most_m)
@@ -111,7 +111,7 @@ def holds_one(unit: Unit, range_m: Array, reflectivity: Bytes) -> Flags:
     return np.asarray(same | ~inside.all(axis=1))
 
 
-def fired_ns(unit: Unit, batch: FiringBatch, range_m: Array) -> Times:
+def fired_ns(unit: HesaiUnit, batch: FiringBatch, range_m: Array) -> Times:
     """(N, R): when the firings of ranges (N, R) were; near returns may come from a separate firing."""
     firings = batch.firings
     time_ns = np.broadcast_to(firings.time_ns[:, None], range_m.shape)
@@ -122,7 +122,7 @@ def fired_ns(unit: Unit, batch: FiringBatch, range_m: Array) -> Times:
     return np.where(is_near, time_ns + later_ns[:, None], time_ns)
 
 
-def _head(unit: Unit, packets: Packets, dual: bool) -> None:
+def _head(unit: HesaiUnit, packets: Packets, dual: bool) -> None:
     header = packets["header"]
     protocol = unit.facts.packet.protocol
     header["start"] = START
@@ -136,7 +136,7 @@ def _head(unit: Unit, packets: Packets, dual: bool) -> None:
     header["returns"] = 1 + dual
 
 
-def _loops(unit: Unit, laser: Bytes) -> Times:
+def _loops(unit: HesaiUnit, laser: Bytes) -> Times:
     """(P, G): which loop's lasers (P, G, F) fire."""
     if len(unit.fires) == 1:
         return np.zeros(laser.shape[:2], np.int64)

@@ -1,6 +1,6 @@
 """The key `hesai` of a sensor's file: the facts of its packets, and when and where each laser fires."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -10,8 +10,9 @@ from pydantic import Field, model_validator
 from lidarcfg.config.models import Model, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.facts import Header, Network, SensorInstance
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.hesai.layout import FLAGS, HIGH_RESOLUTION, MODEL, SEQUENCE, STANDARD, Packets, Protocol, packet
+from lidarcfg.packets.sensor_unit import SensorUnit
 from lidarcfg.sensors.firing import FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import revolutions
@@ -114,23 +115,23 @@ class HesaiPacketFacts(Model):
         return FLAGS[self.protocol] if self.flags is None else self.flags
 
 
-class Headers(Network):
+class HesaiHeaders(Network):
     """The network headers of the sensor's datagrams."""
 
     source: str = ""
     data: Header
 
 
-class Facts(Model):
+class HesaiFacts(Model):
     """The key `hesai` of a sensor's file."""
 
     firing: LoopFiring
     high_resolution: LoopFiring | None = None  # the same in that mode
     packet: HesaiPacketFacts
-    headers: Headers
+    headers: HesaiHeaders
 
     @model_validator(mode="after")
-    def _check(self) -> "Facts":
+    def _check(self) -> "HesaiFacts":
         if self.high_resolution is None:
             return self
         if self.packet.protocol != "1.4":
@@ -141,13 +142,13 @@ class Facts(Model):
         return self
 
 
-class Settings(Model):
+class HesaiSettings(Model):
     """The key `hesai` of a mount in a rig's file."""
 
     resolution: Resolution = "standard"
 
 
-class Unit(SensorInstance[Facts]):
+class HesaiUnit(SensorUnit[HesaiFacts]):
     """A sensor with the facts of its packets, in one resolution."""
 
     @property
@@ -240,13 +241,13 @@ class Unit(SensorInstance[Facts]):
 
 
 @lru_cache(64)
-def unit(sensor: Sensor) -> Unit:
+def unit(sensor: Sensor) -> HesaiUnit:
     """The sensor with the key `hesai` of its file, in its standard resolution.
 
     Raises ConfigError with file, line and key.
     """
     section = sensor.section
-    facts = section.checked(Facts)
+    facts = section.checked(HesaiFacts)
     for name, firing in (("firing", facts.firing), ("high_resolution", facts.high_resolution)):
         for i, loop in enumerate(firing.loops if firing else ()):
             if len(loop) != sensor.count:
@@ -254,42 +255,41 @@ def unit(sensor: Sensor) -> Unit:
                 raise section.error((name, "loops", i), what)
     if sensor.count > 255:
         raise ConfigError(f"sensor {sensor.name!r} has {sensor.count} beams; a header says 255 at most")
-    return Unit(sensor, facts)
+    return HesaiUnit(sensor, facts)
 
 
 @lru_cache(64)
-def sending(unit: Unit, flags: int) -> Unit:
+def sending(unit: HesaiUnit, flags: int) -> HesaiUnit:
     """The unit, of protocol 1.4, with these flags in its packets' header."""
     changed = unit.facts.packet.model_copy(update={"flags": flags})
-    return Unit(unit.sensor, unit.facts.model_copy(update={"packet": changed}))
+    return HesaiUnit(unit.sensor, unit.facts.model_copy(update={"packet": changed}))
 
 
 @lru_cache(64)
-def resolutions(unit: Unit) -> tuple[Unit, ...]:
+def resolutions(unit: HesaiUnit) -> tuple[HesaiUnit, ...]:
     """The unit in its standard resolution and, if it has it, in its high one."""
     high = unit.facts.high_resolution
-    return (unit, Unit(unit.sensor, unit.facts.model_copy(update={"firing": high}))) if high else (unit,)
+    return (unit, HesaiUnit(unit.sensor, unit.facts.model_copy(update={"firing": high}))) if high else (unit,)
 
 
-def unit_of(unit: Unit, mount: Mount) -> Unit:
+def unit_of(unit: HesaiUnit, mount: Mount) -> HesaiUnit:
     """The unit in the resolution of a mount. Raises ConfigError with file, line and key."""
-    if mount.settings.checked(Settings).resolution == "standard":
+    if mount.settings.checked(HesaiSettings).resolution == "standard":
         return unit
     if unit.facts.high_resolution is None:
         raise mount.settings.error(("resolution",), f"'high' is not allowed; a {unit.name} has only standard")
     return resolutions(unit)[1]
 
 
-def batches(unit: Unit, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-    """The firings in the time of this many packets, `chunk` packets at a time.
+def batches(unit: HesaiUnit, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+    """The firings in the time of successive packets, a batch for each span of their numbers.
 
     Packet 0's lasers start to fire `stamp_ns` after `start_ns`, or at it if their stamp is later. With an azimuth field
     of view, packets are sent in which some firing lies within it.
     """
     sent = 0
     longest_ns = int(unit.offset_ns.max())
-    for first in range(0, packets, chunk):
-        numbers = range(first, min(first + chunk, packets))
+    for numbers in spans:
         fired, loop, stamp_ns, inside = _firings(unit, mount, start_ns, numbers)
         ends_ns = stamp_ns + max(unit.facts.firing.stamp_ns + longest_ns, 0)
         if mount.azimuth_fov_deg is not None:
@@ -298,11 +298,11 @@ def batches(unit: Unit, mount: Mount, start_ns: int, packets: int, chunk: int) -
             fired = Firings(fired.time_ns[rows], fired.laser[rows], fired.encoder_rad[rows])
             loop = loop[some]
             ends_ns = ends_ns[some]
-        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000, loop)
+        yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000, loop, sent)
         sent += len(ends_ns)
 
 
-def _firings(unit: Unit, mount: Mount, start_ns: int, numbers: range) -> tuple[Firings, Times, Times, Flags]:
+def _firings(unit: HesaiUnit, mount: Mount, start_ns: int, numbers: range) -> tuple[Firings, Times, Times, Flags]:
     """Of the packets with these numbers: firings, which loop groups (P, G) are of, stamps (P,), and what is in view.
 
     All lasers of a group fire where the head is at its start, as the group's azimuth says.

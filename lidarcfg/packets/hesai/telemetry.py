@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import PacketSource
-from lidarcfg.packets.hesai.model import LoopFiring, Unit, resolutions
+from lidarcfg.packets.hesai.model import HesaiUnit, LoopFiring, resolutions
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Beams
 
@@ -19,7 +19,7 @@ ROW = re.compile(r"\s*(\d+)\s*,\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*,?\s*")
 NO_ANGLE = re.compile(r"\s*\d+\s*,.*?([-+]?\b(?:nan|inf|infinity))\b.*", re.IGNORECASE)
 
 
-def correction_lines(unit: Unit) -> list[str]:
+def correction_lines(unit: HesaiUnit) -> list[str]:
     """The model's angles in the format of Hesai's own files."""
     beams = unit.sensor.beams
     rows = zip(beams.elevation_deg, beams.azimuth_offset_deg or (0.0,) * unit.count, strict=True)
@@ -29,13 +29,13 @@ def correction_lines(unit: Unit) -> list[str]:
     ]
 
 
-def correction_file(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
+def correction_file(unit: HesaiUnit, mount: Mount) -> Mapping[str, bytes]:
     """The mount's angles, by the suffix of the file's name."""
     lines = correction_lines(unit)
     return {f"-{mount.host}-{mount.data_port}{SUFFIX}": "\n".join([*lines, ""]).encode()}
 
 
-def firing_times_file(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
+def firing_times_file(unit: HesaiUnit, mount: Mount) -> Mapping[str, bytes]:
     """The firing times of a sensor of protocol 1.4 as Hesai's own files have them, by the suffix of the file's name.
 
     Those of a JT128 have one time for each channel, those of an OT128 one for each state, in microseconds; those of a

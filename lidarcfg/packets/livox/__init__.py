@@ -5,7 +5,7 @@ To read in this order: `layout` has the bytes, `model` what differs between mode
 `emulator` what it answers. `Livox` is the codec that the rest of the package uses.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.livox import decode, encode, telemetry
 from lidarcfg.packets.livox.emulator import LivoxEmulator
 from lidarcfg.packets.livox.layout import bytes_of, is_points, packet_of
-from lidarcfg.packets.livox.model import DATA_TYPES, Facts, Settings, Unit, batches, settings, unit
+from lidarcfg.packets.livox.model import DATA_TYPES, LivoxFacts, LivoxSettings, LivoxUnit, batches, settings, unit
 from lidarcfg.packets.point_fields import LIVOX
 from lidarcfg.sensors.firing import STRONGEST, FiringBatch, PacketPace
 from lidarcfg.sensors.pattern_timing import PatternTiming, in_view
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
-__all__ = ["Facts", "Livox", "Settings", "Unit", "unit"]
+__all__ = ["Livox", "LivoxFacts", "LivoxSettings", "LivoxUnit", "unit"]
 MODES = ("strongest", "first")
 
 
@@ -37,8 +37,8 @@ class Livox(PatternTiming, Codec):
 
     point_fields = LIVOX
     scans = True
-    facts_model = Facts
-    settings_model = Settings
+    facts_model = LivoxFacts
+    settings_model = LivoxSettings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
@@ -55,8 +55,8 @@ class Livox(PatternTiming, Codec):
     def pace(self, mount: Mount) -> PacketPace:
         return self.unit.pace
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        return batches(self.unit, start_ns, packets, chunk)
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        return batches(self.unit, start_ns, spans)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """Out of the field of view points are zeros."""
@@ -78,12 +78,12 @@ class Livox(PatternTiming, Codec):
         return np.full(range_m.shape, STRONGEST, np.uint8)
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         """Inertial measurements."""
         imu = self.unit.facts.imu
         if imu and settings(mount).imu:
-            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
+            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, due_ns)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

@@ -25,7 +25,7 @@ from lidarcfg.packets.livox.layout import (
     packet_of,
     point_size,
 )
-from lidarcfg.packets.livox.model import Unit
+from lidarcfg.packets.livox.model import LivoxUnit
 from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
 from lidarcfg.sensors.firing import STRONGEST
 
@@ -36,7 +36,7 @@ RESTART = 2**15  # a counter that jumps further was reset
 class LivoxDecoder(Decoder):
     """Decodes the packets of one Livox."""
 
-    def __init__(self, where: str, unit: Unit, kind: DataType, points: int) -> None:
+    def __init__(self, where: str, unit: LivoxUnit, kind: DataType, points: int) -> None:
         self._where = where
         self._unit = unit
         self._kind = kind
@@ -171,7 +171,7 @@ def points_of(where: str, data: Bytes) -> tuple[DataType, int]:
     return DataType(kind), points
 
 
-def identify(data: Bytes, known: Sequence[Unit]) -> Unit:
+def identify(data: Bytes, known: Sequence[LivoxUnit]) -> LivoxUnit:
     """Which of the known sensors sends these packets (P, size): the one that fires at the rate nearest to theirs."""
     headers = headers_of(data)
     steps = np.maximum(headers["points"].astype(np.float64) - 1, 1)

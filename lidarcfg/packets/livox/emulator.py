@@ -13,7 +13,7 @@ from lidarcfg.packets.emulator import Answer, Emulator, NetworkSite, RequestErro
 from lidarcfg.packets.livox import commands
 from lidarcfg.packets.livox.commands import Code, Command, CommandFrame, Key, WorkMode
 from lidarcfg.packets.livox.layout import HEADER, PTP, DataType, crcs, headers_of
-from lidarcfg.packets.livox.model import Unit
+from lidarcfg.packets.livox.model import LivoxUnit
 
 FIND_PORT = 56000
 PORT_NAMES = {FIND_PORT: "Livox's discovery", 56100: "Livox's commands"}
@@ -34,7 +34,7 @@ class LivoxEmulator(Emulator):
 
     own_ports = True
 
-    def __init__(self, unit: Unit, kind: DataType, port: int, site: NetworkSite) -> None:
+    def __init__(self, unit: LivoxUnit, kind: DataType, port: int, site: NetworkSite) -> None:
         device = unit.facts.device
         headers = unit.facts.headers
         self.name = unit.name

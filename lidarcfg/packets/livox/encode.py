@@ -14,13 +14,13 @@ from lidarcfg.packets.livox.layout import (
     Packets,
     packet_of,
 )
-from lidarcfg.packets.livox.model import Unit
+from lidarcfg.packets.livox.model import LivoxUnit
 from lidarcfg.sensors.firing import FiringBatch, Firings
 
 DEGREES = 18000 / np.pi  # hundredths of one in a radian
 
 
-def encode(unit: Unit, kind: DataType, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
+def encode(unit: LivoxUnit, kind: DataType, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of N firings and their ranges and reflectivities (N,). A point without return is all zeros."""
     facts = unit.facts.packet
     packets: Packets = np.zeros(len(batch.number), packet_of(kind, facts.points))

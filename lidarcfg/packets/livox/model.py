@@ -1,6 +1,6 @@
 """The key `livox` of a sensor's file and of a mount: the facts of its packets, and when its lasers fire."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -8,8 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from lidarcfg.config.models import Model
-from lidarcfg.packets.facts import Header, Network, SensorInstance
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.livox.layout import DataType
+from lidarcfg.packets.sensor_unit import SensorUnit
 from lidarcfg.sensors.firing import FiringBatch, PacketPace
 from lidarcfg.sensors.pattern_timing import firings
 from lidarcfg.sensors.rig import Mount
@@ -46,30 +47,30 @@ class Device(Model):
     firmware: tuple[Byte, Byte, Byte, Byte]
 
 
-class Headers(Network):
+class LivoxHeaders(Network):
     """The network headers of the sensor's datagrams."""
 
     data: Header
     imu: Header
 
 
-class Facts(Model):
+class LivoxFacts(Model):
     """The key `livox` of a sensor's file."""
 
     packet: PointPacketFacts
     imu: Inertial | None = None  # none: it has no inertial sensor
     device: Device
-    headers: Headers
+    headers: LivoxHeaders
 
 
-class Settings(Model):
+class LivoxSettings(Model):
     """The key `livox` of a mount in a rig's file."""
 
     data_type: Literal["cartesian_mm", "cartesian_cm", "spherical"] = "cartesian_mm"
     imu: bool = True
 
 
-class Unit(SensorInstance[Facts]):
+class LivoxUnit(SensorUnit[LivoxFacts]):
     """A sensor with the facts of its packets."""
 
     @property
@@ -86,23 +87,26 @@ class Unit(SensorInstance[Facts]):
 
 
 @lru_cache(64)
-def unit(sensor: Sensor) -> Unit:
+def unit(sensor: Sensor) -> LivoxUnit:
     """The sensor with the key `livox` of its file. Raises ConfigError with file, line and key."""
-    return Unit(sensor, sensor.section.checked(Facts))
+    return LivoxUnit(sensor, sensor.section.checked(LivoxFacts))
 
 
-def settings(mount: Mount) -> Settings:
+def settings(mount: Mount) -> LivoxSettings:
     """The key `livox` of a mount. Raises ConfigError with file, line and key."""
-    return mount.settings.checked(Settings)
+    return mount.settings.checked(LivoxSettings)
 
 
-def batches(unit: Unit, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-    """The firings of this many packets, `chunk` packets at a time. Each packet leaves when the next one begins."""
+def batches(unit: LivoxUnit, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+    """The firings of successive packets, a batch for each span of their numbers.
+
+    Each packet leaves when the next one begins.
+    """
     pattern = unit.sensor.pattern
     points = unit.facts.packet.points
-    for first in range(0, packets, chunk):
-        end = min(first + chunk, packets)
+    for numbers in spans:
+        first, end = numbers.start, numbers.stop
         ends_ns, _ = pattern.walk(first * points + points, end * points + 1)
         sent_ns = start_ns + ends_ns[::points]
         fired = firings(pattern, start_ns, first * points, end * points)
-        yield FiringBatch(fired, np.arange(first, end), (sent_ns + 500) // 1000 * 1000)
+        yield FiringBatch(fired, np.arange(first, end), (sent_ns + 500) // 1000 * 1000, first=first)

@@ -8,7 +8,7 @@ import numpy as np
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.inertial import measured, samples
 from lidarcfg.packets.livox.layout import INERTIAL, PTP, VERSION, DataType, Packets, bytes_of, crcs
-from lidarcfg.packets.livox.model import Inertial, Unit
+from lidarcfg.packets.livox.model import Inertial, LivoxUnit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 
 def imu_payloads(
-    unit: Unit, imu: Inertial, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: LivoxUnit, imu: Inertial, mount: Mount, trajectory: "Trajectory", start_ns: int, due_ns: range
 ) -> Iterator[Payloads]:
     """A packet a measurement: rates in rad/s, accelerations in g, gravity included."""
     headers = unit.facts.headers
-    for number, time_ns, sent_ns in samples(start_ns, duration_ns, SECOND_NS // imu.rate_hz):
+    for number, time_ns, sent_ns in samples(start_ns, due_ns, SECOND_NS // imu.rate_hz):
         packets: Packets = np.zeros(len(number), INERTIAL)
         header = packets["header"]
         header["version"] = VERSION

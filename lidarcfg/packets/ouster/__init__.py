@@ -6,7 +6,7 @@ is the codec that the rest of the package uses.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, P
 from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.ouster import decode, encode, telemetry
 from lidarcfg.packets.ouster.emulator import OusterEmulator
-from lidarcfg.packets.ouster.model import Facts, Mode, Settings, Unit, batches, mode, unit
+from lidarcfg.packets.ouster.model import Mode, OusterFacts, OusterSettings, OusterUnit, batches, mode, unit
 from lidarcfg.packets.point_fields import OUSTER
 from lidarcfg.sensors.firing import FiringBatch, PacketPace, Pattern
 from lidarcfg.sensors.rig import Mount
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
-__all__ = ["Facts", "Ouster", "Settings", "Unit", "unit"]
+__all__ = ["Ouster", "OusterFacts", "OusterSettings", "OusterUnit", "unit"]
 
 
 class Ouster(Codec):
     """The packets of one Ouster."""
 
     point_fields = OUSTER
-    facts_model = Facts
-    settings_model = Settings
+    facts_model = OusterFacts
+    settings_model = OusterSettings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
@@ -47,8 +47,8 @@ class Ouster(Codec):
         mode = self._mode(mount)
         return PacketPace(mode.period_ns, mode.layout.columns_per_packet * mode.layout.pixels)
 
-    def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[FiringBatch]:
-        return batches(self._mode(mount), start_ns, packets, chunk, mount.phase_deg)
+    def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
+        return batches(self._mode(mount), start_ns, spans, mount.phase_deg)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         mode = self._mode(mount)
@@ -67,14 +67,14 @@ class Ouster(Codec):
         return encode.return_types(self.unit, range_m, reflectivity)
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         """Inertial measurements."""
         mode = self._mode(mount)
         if mode.settings.imu:
             legacy = mode.settings.imu_profile == "LEGACY"
             payloads = telemetry.legacy_imu_payloads if legacy else telemetry.framed_imu_payloads
-            yield from payloads(self.unit, mode, mount, trajectory, start_ns, duration_ns)
+            yield from payloads(self.unit, mode, mount, trajectory, start_ns, due_ns)
 
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The metadata."""

@@ -1,13 +1,13 @@
 """Decodes an Ouster's packets into points, by the metadata beside them."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import maths
-from lidarcfg.core import ouster as core
+from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times, product, transform
 from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics
@@ -23,30 +23,6 @@ from lidarcfg.packets.ouster.telemetry import Metadata
 from lidarcfg.sensors.firing import LAST, SECOND, STRONGEST
 
 ENDS = "", "2"  # of the names of the first and of the second return's fields
-
-
-class ReturnLayout(NamedTuple):
-    """Where a column's status and a pixel's returns are."""
-
-    status: int  # the byte of a column's word that says whether it is valid
-    status_mask: int  # its bits that are set if so
-    returns: NDArray[np.int64]  # (R, 3) the words that begin with a range, those of a reflectivity, and its first bit
-    range_mask: int
-    unit_m: float  # of a range
-
-
-class PixelBeams(NamedTuple):
-    """The L pixels of a column, in a frame whose z is the axis."""
-
-    ahead: Array  # (L,) parts of the directions where the encoder's angle is 0
-    right: Array  # (L,)
-    up: Array  # (L,)
-    heading: Array  # (columns of a revolution, 2) cosine and sine of the encoder's angle
-    ahead_m: float  # from the axis to where all beams start
-    origin_m: float  # from the lidar's origin to there, which ranges include
-    shift_m: tuple[float, float, float]  # that is added to all
-    ring: Bytes  # (L,)
-    return_type: Bytes  # (R,)
 
 
 class OusterDecoder(Decoder):
@@ -109,9 +85,9 @@ class OusterDecoder(Decoder):
         packets = np.ascontiguousarray(_select(packets, wanted))
         pixels = len(packets) * layout.columns_per_packet * layout.pixels
         returns = DecodedReturns.allocate(pixels * layout.profile.returns)
-        count = core.decode_points(
+        count = core.decode_ouster_points(
             packets,
-            layout,
+            layout.core,
             self._profile,
             self._beams,
             returns.xyz_m,
@@ -150,12 +126,12 @@ def _select(packets: Bytes, wanted: Flags) -> Bytes:
     return packets[rows[0] : rows[-1] + 1] if consecutive else packets[wanted]
 
 
-def _profile(layout: Layout) -> ReturnLayout:
+def _profile(layout: Layout) -> core.OusterProfile:
     ends = ENDS[: layout.profile.returns]
     ranges, reflectivities = ([layout.profile.fields[name + end] for end in ends] for name in ("range", "reflectivity"))
     assert all(field.bit % 32 == 0 for field in ranges)
     assert all((field.bit % 8, field.bits) == (0, 8) for field in reflectivities)
-    return ReturnLayout(
+    return core.OusterProfile(
         status=layout.column - 4 if layout.legacy else 8,
         status_mask=LEGACY_VALID if layout.legacy else 1 << 16,
         returns=np.array(
@@ -166,7 +142,7 @@ def _profile(layout: Layout) -> ReturnLayout:
     )
 
 
-def _beams(metadata: Metadata) -> PixelBeams:
+def _beams(metadata: Metadata) -> core.OusterBeams:
     """All pixels of a column: in the sensor's frame, if the lidar stands upright in it, or else in the lidar's."""
     T = metadata.T_sensor_lidar if _upright(metadata.T_sensor_lidar) else np.eye(4)
     flat = maths.cos(metadata.elevation_rad)
@@ -176,7 +152,7 @@ def _beams(metadata: Metadata) -> PixelBeams:
     heading = product(np.stack([maths.cos(angle), maths.sin(angle)], axis=1), T[:2, :2].T)
     return_types = STRONGEST, LAST if metadata.nearest_first else SECOND
     x, y, z = T[:3, 3].tolist()
-    return PixelBeams(
+    return core.OusterBeams(
         ahead=flat * maths.cos(metadata.azimuth_rad),
         right=flat * maths.sin(metadata.azimuth_rad),
         up=maths.sin(metadata.elevation_rad),

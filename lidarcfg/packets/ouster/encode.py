@@ -1,11 +1,9 @@
 """Encodes firings and their measurements as an Ouster's packets."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from lidarcfg import maths
-from lidarcfg.core import ouster as core
+from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array, Bytes, Flags
 from lidarcfg.packets.ouster.layout import (
     ALERTS,
@@ -15,7 +13,7 @@ from lidarcfg.packets.ouster.layout import (
     assemble,
     unpack,
 )
-from lidarcfg.packets.ouster.model import Mode, Unit, in_window, measurements
+from lidarcfg.packets.ouster.model import Mode, OusterUnit, in_window, measurements
 from lidarcfg.sensors.firing import FiringBatch
 
 BYTE = np.arange(256.0)
@@ -25,17 +23,7 @@ LIGHT = np.where(BYTE <= 100, BYTE, 100 * maths.power(2.0, (BYTE - 100) / 16))
 MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signal2")
 
 
-class RangeLimits(NamedTuple):
-    """The ranges that packets can hold."""
-
-    least_m: float
-    most_m: float
-    start_m: float  # of the beam, ahead of the axis, which ranges include
-    unit_m: float
-    most_units: float
-
-
-def encode(unit: Unit, mode: Mode, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Bytes:
+def encode(unit: OusterUnit, mode: Mode, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Bytes:
     """(P, size): as `Codec.encode` says. Near-infrared light is none.
 
     Of two returns the nearer comes first, or the stronger, as the metadata says.
@@ -44,9 +32,15 @@ def encode(unit: Unit, mode: Mode, batch: FiringBatch, range_m: Array, reflectiv
     returns = layout.profile.returns
     least_m, most_m = unit.range.reported_m
     field = layout.profile.fields["range"]
-    limits = RangeLimits(least_m, most_m, unit.start_mm[0] / 1000, (1 << field.dropped) / 1000, field.most)
+    limits = core.OusterLimits(
+        least_m=least_m,
+        most_m=most_m,
+        start_m=unit.start_mm[0] / 1000,
+        unit_m=(1 << field.dropped) / 1000,
+        most_units=field.most,
+    )
     raw = np.empty((3 * returns, len(range_m)), np.uint32)
-    core.quantize_returns(
+    core.quantize_ouster_returns(
         np.ascontiguousarray(range_m),
         np.ascontiguousarray(reflectivity),
         limits,
@@ -72,7 +66,7 @@ def encode(unit: Unit, mode: Mode, batch: FiringBatch, range_m: Array, reflectiv
     return assemble(layout, headers, columns, raw, layout.bits_of(MEASURED[: 3 * returns]), footer)
 
 
-def return_types(unit: Unit, range_m: Array, reflectivity: Bytes) -> Bytes:
+def return_types(unit: OusterUnit, range_m: Array, reflectivity: Bytes) -> Bytes:
     """(N, 2): of two returns that come by their strength, 0 of the stronger and 2 of the other."""
     least_m, most_m = unit.range.reported_m
     there = ((range_m >= least_m) & (range_m <= most_m)).all(axis=1)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import ouster as core
+from lidarcfg.core import packets as core
 from lidarcfg.geometry import Bytes, Flags, Times
 
 PACKET_COLUMNS = 16
@@ -177,6 +177,18 @@ class Layout:
         return self.columns_per_frame // self.columns_per_packet
 
     @cached_property
+    def core(self) -> core.OusterLayout:
+        """Where the core finds columns and pixels."""
+        return core.OusterLayout(
+            head=self.head,
+            columns_per_packet=self.columns_per_packet,
+            column=self.column,
+            column_head=self.column_head,
+            pixels=self.pixels,
+            pixel=self.pixel,
+        )
+
+    @cached_property
     def bits(self) -> NDArray[np.int64]:
         """(F, 3) of the profile's fields: the pixel's 32-bit word, shift in it, mask."""
         return self.bits_of(list(self.profile.fields))
@@ -275,7 +287,7 @@ def unpack(layout: Layout, packets: Bytes) -> dict[str, NDArray[np.uint32]]:
     """(P, C, pixels) by the names of the profile's fields. Ranges are in millimetres."""
     shape = len(packets), layout.columns_per_packet, layout.pixels
     raw = np.empty((len(layout.profile.fields), len(packets) * layout.columns_per_packet * layout.pixels), np.uint32)
-    core.unpack_fields(np.ascontiguousarray(packets), layout.bits, layout, raw)
+    core.unpack_ouster_fields(np.ascontiguousarray(packets), layout.bits, layout.core, raw)
     return {
         name: raw[i].reshape(shape) << np.uint32(field.dropped)
         for i, (name, field) in enumerate(layout.profile.fields.items())
@@ -294,7 +306,7 @@ def assemble(
     packets = np.zeros((len(columns.time_ns), layout.size), np.uint8)
     write_packet_headers(layout, packets, headers)
     write_column_headers(layout, packets, columns)
-    core.pack_fields(raw, bits, layout, packets)
+    core.pack_ouster_fields(raw, bits, layout.core, packets)
     if not layout.legacy:
         if footer == "crc":
             values(packets, "<u8", layout.size - 8)[:] = crc64(packets)

@@ -4,7 +4,7 @@ Both are keys `ouster`, of a sensor's file and of a mount in a rig's file.
 """
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -15,8 +15,9 @@ from pydantic import Field
 from lidarcfg.config.models import Model
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Flags, Times
-from lidarcfg.packets.facts import Header, Network, SensorInstance
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
+from lidarcfg.packets.sensor_unit import SensorUnit
 from lidarcfg.sensors.firing import FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Millimetres, Sensor
@@ -63,23 +64,23 @@ class Product(Model):
     number: Annotated[str, Field(min_length=1)]
 
 
-class Headers(Network):
+class OusterHeaders(Network):
     """The network headers of the sensor's datagrams."""
 
     data: Header
     imu: Header
 
 
-class Facts(Model):
+class OusterFacts(Model):
     """The key `ouster` of a sensor's file."""
 
     imu: Imu
     signal: Signal
     product: Product
-    headers: Headers
+    headers: OusterHeaders
 
 
-class Settings(Model):
+class OusterSettings(Model):
     """The key `ouster` of a mount in a rig's file."""
 
     profile: ProfileName | None = None  # none: the single or the dual one of 19 bits, by return_mode
@@ -90,7 +91,7 @@ class Settings(Model):
     imu_profile: Literal["LEGACY", "ACCEL32_GYRO32_NMEA"] = "LEGACY"
 
 
-class Unit(SensorInstance[Facts]):
+class OusterUnit(SensorUnit[OusterFacts]):
     """A sensor with the facts of its packets."""
 
     @property
@@ -105,7 +106,7 @@ class Mode:
     """How a mount's sensor sends."""
 
     layout: Layout
-    settings: Settings
+    settings: OusterSettings
     rpm: float
     window: tuple[int, int]  # first and last column that is measured, clockwise
     serial: int
@@ -138,9 +139,9 @@ class Mode:
 
 
 @lru_cache(64)
-def unit(sensor: Sensor) -> Unit:
+def unit(sensor: Sensor) -> OusterUnit:
     """The sensor with the key `ouster` of its file. Raises ConfigError with file, line and key."""
-    facts = sensor.section.checked(Facts)
+    facts = sensor.section.checked(OusterFacts)
     if sensor.count > LASERS_MAX:
         raise ConfigError(
             f"sensor {sensor.name!r} has {sensor.count} beams; allowed with Ouster's packets: {LASERS_MAX}"
@@ -150,12 +151,12 @@ def unit(sensor: Sensor) -> Unit:
         if len(values) > 1 or (key == "lateral_offset_mm" and values != {0.0}):
             allowed = "none" if key == "lateral_offset_mm" else "the same of all beams"
             raise ConfigError(f"sensor {sensor.name!r}: beams.{key}: allowed with Ouster's packets: {allowed}")
-    return Unit(sensor, facts)
+    return OusterUnit(sensor, facts)
 
 
 def mode(sensor: Sensor, mount: Mount) -> Mode:
     """How a mount's sensor sends. Raises ConfigError for what it cannot."""
-    settings = mount.settings.checked(Settings)
+    settings = mount.settings.checked(OusterSettings)
     if mount.return_mode not in ("strongest", "dual"):
         raise ConfigError(f"return_mode: {mount.return_mode!r} is not allowed; an Ouster sends the strongest, or dual")
     dual = mount.return_mode == "dual"
@@ -196,22 +197,26 @@ def _window(fov_deg: tuple[float, float] | None, count: int) -> tuple[int, int]:
     return first % count, last % count
 
 
-def batches(mode: Mode, start_ns: int, packets: int, chunk: int, phase_deg: float | None) -> Iterator[FiringBatch]:
-    """The firings in the time of this many packets, `chunk` packets at a time.
+def batches(mode: Mode, start_ns: int, spans: Iterable[range], phase_deg: float | None) -> Iterator[FiringBatch]:
+    """The firings in the time of successive packets, a batch for each span of their numbers.
 
     The first packet begins with column 0, which points backwards; with a phase lock, with the column that is due.
     Packets without a column in the azimuth window are not sent. Packet numbers count from the start of the first
     revolution.
     """
     zero_ns, first = phase(mode, start_ns, phase_deg)
-    end_ns = start_ns + packets * mode.period_ns
-    for at in range(first, first + packets, chunk):
-        number = np.arange(at, min(at + chunk, first + packets))
+    sent = 0  # as IP counts them: from the first one's number on
+    for span in spans:
+        begin_ns, end_ns = (start_ns + at * mode.period_ns for at in (span.start, span.stop))
+        number = np.arange(first + max(span.start - 1, 0), first + span.stop)
         number = number[in_window(mode, measurements(mode, number)).any(axis=1)]
-        number = number[column_times_ns(mode, zero_ns, number + 1)[:, 0] <= end_ns]
+        done_ns = column_times_ns(mode, zero_ns, number + 1)[:, 0]
+        within = (done_ns > begin_ns) & (done_ns <= end_ns)  # with a phase lock packets are complete a little later
+        number, done_ns = number[within], done_ns[within]
         time_ns = column_times_ns(mode, zero_ns, number)
-        sent_ns = (column_times_ns(mode, zero_ns, number + 1)[:, 0] + 500) // 1000 * 1000
-        yield FiringBatch(_firings(mode, number, time_ns), number, sent_ns)
+        sent = sent or int(number[:1].sum())
+        yield FiringBatch(_firings(mode, number, time_ns), number, (done_ns + 500) // 1000 * 1000, first=sent)
+        sent += len(number)
 
 
 def measurements(mode: Mode, number: Times) -> Times:

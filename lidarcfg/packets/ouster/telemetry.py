@@ -26,7 +26,7 @@ from lidarcfg.packets.ouster.layout import (
     packet_headers,
     write_packet_headers,
 )
-from lidarcfg.packets.ouster.model import IMU_MEASUREMENTS, LASERS_MAX, Mode, Unit, phase, unit
+from lidarcfg.packets.ouster.model import IMU_MEASUREMENTS, LASERS_MAX, Mode, OusterUnit, phase, unit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Beams, Sensor
 from lidarcfg.units import SECOND_NS
@@ -287,7 +287,7 @@ def unknown_sensor(found: Metadata, like: Sensor) -> Sensor:
     )
 
 
-def metadata_file(unit: Unit, mode: Mode, mount: Mount) -> bytes:
+def metadata_file(unit: OusterUnit, mode: Mode, mount: Mount) -> bytes:
     """The metadata of a mount's sensor, with the parts of firmware 3 that ouster-sdk needs."""
     layout = mode.layout
     beams = unit.sensor.beams
@@ -333,7 +333,7 @@ def metadata_file(unit: Unit, mode: Mode, mount: Mount) -> bytes:
     return (json.dumps(metadata, indent=2) + "\n").encode()
 
 
-def _config(unit: Unit, mode: Mode, mount: Mount) -> dict[str, Any]:
+def _config(unit: OusterUnit, mode: Mode, mount: Mount) -> dict[str, Any]:
     """How a mount's sensor is configured."""
     layout = mode.layout
     (first, last) = mode.window
@@ -367,11 +367,11 @@ def _translation(x: float, y: float, z: float) -> list[float]:
 
 
 def legacy_imu_payloads(
-    unit: Unit, mode: Mode, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: OusterUnit, mode: Mode, mount: Mount, trajectory: "Trajectory", start_ns: int, due_ns: range
 ) -> Iterator[Payloads]:
     """A packet of 48 bytes every 10 ms: three equal times, of the system and both sensors, then the values."""
     headers = unit.facts.headers
-    for number, time_ns, sent_ns in samples(start_ns, duration_ns, IMU_PERIOD_NS):
+    for number, time_ns, sent_ns in samples(start_ns, due_ns, IMU_PERIOD_NS):
         packets = np.zeros(len(time_ns), IMU_PACKET)
         packets["time_ns"] = time_ns[:, None]
         packets["acceleration_g"], packets["rate_deg_s"] = measured(mount, trajectory, _position_m(unit), time_ns)
@@ -381,14 +381,15 @@ def legacy_imu_payloads(
 
 
 def framed_imu_payloads(
-    unit: Unit, mode: Mode, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: OusterUnit, mode: Mode, mount: Mount, trajectory: "Trajectory", start_ns: int, due_ns: range
 ) -> Iterator[Payloads]:
     """Packets of profile ACCEL32_GYRO32_NMEA, which count revolutions as the lidar's do; without a sentence."""
     zero_ns, _ = phase(mode, start_ns, mount.phase_deg)
     period_ns = mode.revolution_ns // mode.imu_packets
-    begin = -(-(start_ns - zero_ns) // period_ns)
-    end = (start_ns + duration_ns - zero_ns) // period_ns
-    for first in range(begin, end, CHUNK):
+    into_ns = start_ns - zero_ns
+    zero = -(-into_ns // period_ns)  # the first that is not begun before the start
+    begin, end = ((into_ns + at_ns) // period_ns for at_ns in (due_ns.start, due_ns.stop))
+    for first in range(max(begin, zero), end, CHUNK):
         number = np.arange(first, min(first + CHUNK, end))
         revolution, place = np.divmod(number, mode.imu_packets)
         sample = place[:, None] * IMU_MEASUREMENTS + np.arange(IMU_MEASUREMENTS)
@@ -409,9 +410,9 @@ def framed_imu_payloads(
         sent_ns = (zero_ns + (number + 1) * period_ns + 500) // 1000 * 1000
         headers = unit.facts.headers
         fragments = mode.settings.fragments
-        yield Payloads(sent_ns, data, mount.telemetry_port, headers, headers.imu, first - begin, fragments)
+        yield Payloads(sent_ns, data, mount.telemetry_port, headers, headers.imu, first - zero, fragments)
 
 
-def _position_m(unit: Unit) -> Array:
+def _position_m(unit: OusterUnit) -> Array:
     """(3,): where the inertial sensor is in the sensor's frame."""
     return np.array(unit.facts.imu.position_mm) / 1000

@@ -16,7 +16,7 @@ from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, P
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, bytes_of, series_of
-from lidarcfg.packets.robosense.model import Facts, Settings, Unit, unit
+from lidarcfg.packets.robosense.model import RobosenseFacts, RobosenseSettings, RobosenseUnit, unit
 from lidarcfg.sensors.firing import FiringBatch, ranked
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
-__all__ = ["Facts", "Robosense", "Unit", "unit"]
+__all__ = ["Robosense", "RobosenseFacts", "RobosenseUnit", "unit"]
 
 
 class Robosense(SequenceTiming, Codec):
     """The packets of one RoboSense sensor."""
 
     point_fields = STAMPED
-    facts_model = Facts
-    settings_model = Settings
+    facts_model = RobosenseFacts
+    settings_model = RobosenseSettings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
@@ -56,7 +56,11 @@ class Robosense(SequenceTiming, Codec):
             raise ConfigError(f"phase_deg is {mount.phase_deg:g}; DIFOP packets say whole degrees")
 
         imu = self.unit.facts.imu
-        if imu and mount.settings.checked(Settings).imu and imu.port in (mount.data_port, mount.telemetry_port):
+        if (
+            imu
+            and mount.settings.checked(RobosenseSettings).imu
+            and imu.port in (mount.data_port, mount.telemetry_port)
+        ):
             what = f"port {imu.port} is the inertial measurements'"
             raise ConfigError(f"{what}; give another data_port and telemetry_port, or robosense: {{imu: false}}")
         telemetry.difop_packets(self.unit, mount, np.zeros(1, np.int64))
@@ -74,13 +78,13 @@ class Robosense(SequenceTiming, Codec):
         return ranked(types, self.unit.range.holds_both(range_m), reflectivity) if mount.dual else types
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         """DIFOP packets; inertial measurements of an Airy."""
-        yield from telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
+        yield from telemetry.difop_payloads(self.unit, mount, start_ns, due_ns)
         imu = self.unit.facts.imu
-        if imu and mount.settings.checked(Settings).imu:
-            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, duration_ns)
+        if imu and mount.settings.checked(RobosenseSettings).imu:
+            yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, due_ns)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

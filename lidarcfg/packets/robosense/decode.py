@@ -24,7 +24,7 @@ from lidarcfg.packets.robosense.layout import (
     packets_of,
     read_time_ns,
 )
-from lidarcfg.packets.robosense.model import Unit, slots
+from lidarcfg.packets.robosense.model import RobosenseUnit, slots
 from lidarcfg.packets.robosense.telemetry import Difop
 from lidarcfg.units import SECOND_NS
 
@@ -36,7 +36,7 @@ SINGLE_KINDS = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types, as i
 class DecodeTables:
     """The tables by which the packets of a source are decoded."""
 
-    unit: Unit
+    unit: RobosenseUnit
     elevation_rad: Array  # (L,)
     azimuth_offset_rad: Array  # (L,)
     return_mode: str
@@ -53,7 +53,7 @@ class DecodeTables:
         unit = self.unit
         sensor = unit.sensor
         schedule = unit.firing_schedule(self.dual)
-        lasers = blocks.BlockLasers(
+        lasers = core.BlockLasers(
             elevation=self.elevation_rad,
             azimuth_offset=self.azimuth_offset_rad,
             forward=sensor.forward_offset_m,
@@ -71,7 +71,7 @@ class DecodeTables:
         )
 
 
-def decode_tables(unit: Unit, source: PacketSource, first: Packets, difop: Difop | None) -> DecodeTables:
+def decode_tables(unit: RobosenseUnit, source: PacketSource, first: Packets, difop: Difop | None) -> DecodeTables:
     """The tables, with the DIFOP packet's angles or else the file's, if these packets (P,) are of that model.
 
     Raises PacketError if they are not.
@@ -187,7 +187,9 @@ def check_msop(where: str, packets: Packets, series: Series) -> None:
         raise PacketError(f"{where} sends the block flag 0x{ids[ids != BLOCK_ID][0]:04X}; allowed: 0x{BLOCK_ID:04X}")
 
 
-def identify(where: str, packets: Packets, series: Series, difop: Difop | None, known: Sequence[Unit]) -> Unit:
+def identify(
+    where: str, packets: Packets, series: Series, difop: Difop | None, known: Sequence[RobosenseUnit]
+) -> RobosenseUnit:
     """Which of the known sensors sends these successive packets (P,) of a series. Raises PacketError.
 
     Early firmware does not say its model: the DIFOP packet's angles are then as many as the lasers.
@@ -209,7 +211,7 @@ def identify(where: str, packets: Packets, series: Series, difop: Difop | None, 
     raise PacketError(f"{where} may be {names}: its packets say no model, and no DIFOP says its angles; give --model")
 
 
-def check_model(where: str, unit: Unit, packets: Packets, difop: Difop | None) -> None:
+def check_model(where: str, unit: RobosenseUnit, packets: Packets, difop: Difop | None) -> None:
     """Raises PacketError if these packets (P,) or the DIFOP packet say that they are of another model."""
     facts = unit.facts.packet
     model = int(packets["model"][0])
@@ -225,7 +227,7 @@ def check_model(where: str, unit: Unit, packets: Packets, difop: Difop | None) -
         )
 
 
-def is_dual(unit: Unit, packets: Packets) -> bool:
+def is_dual(unit: RobosenseUnit, packets: Packets) -> bool:
     """Whether these successive packets (P,) hold dual returns: as they say, or by pairs of blocks or their period."""
     if unit.series.says_dual:
         return bool((packets["kind"] == unit.series.kinds[True]).mean() > 0.5)
@@ -237,7 +239,7 @@ def is_dual(unit: Unit, packets: Packets) -> bool:
     return bool(gap_ns) and gap_ns < 1.5 * unit.firing_schedule(dual=True).period_ns
 
 
-def _fits(unit: Unit, packets: Packets) -> bool:
+def _fits(unit: RobosenseUnit, packets: Packets) -> bool:
     """Whether the packets' blocks and period may be the sensor's, in one of its modes."""
     azimuth = packets["blocks"]["azimuth"].astype(np.int64)
     gap_ns = _gap_ns(packets)

@@ -14,11 +14,11 @@ from lidarcfg.packets.robosense.layout import (
     bytes_of,
     write_time,
 )
-from lidarcfg.packets.robosense.model import Unit, byte_offsets, slot_numbers
+from lidarcfg.packets.robosense.model import RobosenseUnit, byte_offsets, slot_numbers
 from lidarcfg.sensors.firing import FiringBatch
 
 
-def encode(unit: Unit, dual: bool, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
+def encode(unit: RobosenseUnit, dual: bool, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`."""
     schedule = unit.firing_schedule(dual)
     series = unit.series
@@ -44,7 +44,7 @@ def encode(unit: Unit, dual: bool, batch: FiringBatch, range_m: Array, reflectiv
     return packets
 
 
-def sent(unit: Unit, dual: bool, data: Bytes) -> Flags:
+def sent(unit: RobosenseUnit, dual: bool, data: Bytes) -> Flags:
     """(N, 1) or (N, 2): which are returns in the packets; of two equal ones, only the first."""
     at = byte_offsets(unit, dual)
     high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))

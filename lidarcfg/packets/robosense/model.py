@@ -7,10 +7,11 @@ import numpy as np
 from pydantic import Field
 
 from lidarcfg.config.models import Model
+from lidarcfg.core import packets as core
 from lidarcfg.geometry import Times
-from lidarcfg.packets import blocks
-from lidarcfg.packets.facts import Header, Nanoseconds, Network, SensorInstance, SequenceFiring, check_firing
+from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.robosense.layout import HELIOS, RETURN, SERIES, Series
+from lidarcfg.packets.sensor_unit import Nanoseconds, SensorUnit, SequenceFiring, check_firing
 from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Port, Sensor
 
@@ -58,14 +59,14 @@ class AiryImu(Model):
     rate_deg_s: Literal[250, 500, 1000, 2000]
 
 
-class Headers(Network):
+class RobosenseHeaders(Network):
     """The network headers of the sensor's datagrams."""
 
     msop: Header
     difop: Header
 
 
-class Facts(Model):
+class RobosenseFacts(Model):
     """The key `robosense` of a sensor's file."""
 
     firing: SequenceFiring
@@ -74,16 +75,16 @@ class Facts(Model):
     packet: MsopFacts
     difop: DifopFacts
     imu: AiryImu | None = None
-    headers: Headers
+    headers: RobosenseHeaders
 
 
-class Settings(Model):
+class RobosenseSettings(Model):
     """The key `robosense` of a mount in a rig's file."""
 
     imu: bool = True  # whether an Airy sends inertial measurements
 
 
-class Unit(SensorInstance[Facts]):
+class RobosenseUnit(SensorUnit[RobosenseFacts]):
     """A sensor of 16, 32 or 96 lasers with the facts of its packets."""
 
     @property
@@ -107,20 +108,20 @@ class Unit(SensorInstance[Facts]):
         per_azimuth = 1 if dual else max(series.slots // self.count, 1)
         return FiringSchedule(np.array(firing.offset_ns, np.int64), firing.sequence_ns, sequences, per_azimuth)
 
-    def installed(self, mode: int) -> "Unit":
+    def installed(self, mode: int) -> "RobosenseUnit":
         """The sensor in an install mode that its DIFOP packets say."""
         for one in self.facts.installed:
             if one.mode == mode:
                 firing = self.facts.firing.model_copy(update={"offset_ns": one.offset_ns})
-                return Unit(self.sensor, self.facts.model_copy(update={"firing": firing}))
+                return RobosenseUnit(self.sensor, self.facts.model_copy(update={"firing": firing}))
         return self
 
 
 @lru_cache(64)
-def unit(sensor: Sensor) -> Unit:
+def unit(sensor: Sensor) -> RobosenseUnit:
     """The sensor with the key `robosense` of its file. Raises ConfigError with file, line and key."""
     section = sensor.section
-    facts = section.checked(Facts)
+    facts = section.checked(RobosenseFacts)
     if facts.packet.type not in SERIES:
         has = ", ".join(f"{one.lidar_type} {one.name}" for one in SERIES.values())
         raise section.error(("packet", "type"), f"{facts.packet.type} is not known; allowed: {has}")
@@ -137,11 +138,11 @@ def unit(sensor: Sensor) -> Unit:
     if facts.driver and len(facts.driver.offset_ns) != together:
         what = f"has {len(facts.driver.offset_ns)} values; allowed: {together}, one for each return of an azimuth"
         raise section.error(("driver", "offset_ns"), what)
-    return Unit(sensor, facts)
+    return RobosenseUnit(sensor, facts)
 
 
 @lru_cache
-def slot_numbers(unit: Unit, dual: bool) -> Times:
+def slot_numbers(unit: RobosenseUnit, dual: bool) -> Times:
     """(N,) the slot, numbered block by block, of each of a packet's (S, L) returns, or (S, L, 2) dual returns.
 
     With dual returns, both of 16 lasers stand in one block, one half each; of 32 lasers in two successive blocks; of 96
@@ -157,7 +158,7 @@ def slot_numbers(unit: Unit, dual: bool) -> Times:
 
 
 @lru_cache
-def byte_offsets(unit: Unit, dual: bool) -> Times:
+def byte_offsets(unit: RobosenseUnit, dual: bool) -> Times:
     """(N,) the byte at which each of a packet's returns begins."""
     fields = unit.series.msop.fields
     assert fields
@@ -167,7 +168,7 @@ def byte_offsets(unit: Unit, dual: bool) -> Times:
 
 
 @lru_cache
-def slots(unit: Unit, dual: bool, driver_view: bool) -> blocks.BlockSlots:
+def slots(unit: RobosenseUnit, dual: bool, driver_view: bool) -> core.BlockSlots:
     """The core's table of a packet's slots; with `driver_view`, of when the maker's driver has lasers fire."""
     schedule = unit.firing_schedule(dual)
     groups = schedule.sequences // schedule.per_azimuth
@@ -184,7 +185,7 @@ def slots(unit: Unit, dual: bool, driver_view: bool) -> blocks.BlockSlots:
         offset_ns = sequence * schedule.sequence_ns + schedule.offset_ns[laser]
         group_ns = schedule.per_azimuth * schedule.sequence_ns
         fraction = (offset_ns - schedule.offset_ns.min()) / group_ns
-    return blocks.BlockSlots(
+    return core.BlockSlots(
         laser=laser,
         fraction=np.tile(fraction, (groups, 1)),
         offset_ns=np.arange(groups)[:, None] * group_ns + offset_ns,

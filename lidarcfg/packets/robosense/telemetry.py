@@ -27,7 +27,7 @@ from lidarcfg.packets.robosense.layout import (
     bytes_of,
     write_time,
 )
-from lidarcfg.packets.robosense.model import AiryImu, Unit
+from lidarcfg.packets.robosense.model import AiryImu, RobosenseUnit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
 
@@ -55,16 +55,17 @@ class Difop:
         return len(self.elevation_rad)
 
 
-def difop_payloads(unit: Unit, mount: Mount, start_ns: int, duration_ns: int) -> Iterator[Payloads]:
+def difop_payloads(unit: RobosenseUnit, mount: Mount, start_ns: int, due_ns: range) -> Iterator[Payloads]:
     """The DIFOP packets of a sensor, the first before anything else and one a second from then on."""
     headers = unit.facts.headers
-    times_ns = np.arange(start_ns, start_ns + duration_ns, SECOND_NS, dtype=np.int64)
+    first, end = (-(-at_ns // SECOND_NS) for at_ns in (due_ns.start, due_ns.stop))
+    times_ns = start_ns + np.arange(first, end) * SECOND_NS
     packets = difop_packets(unit, mount, times_ns)
     sent_ns = times_ns // 1000 * 1000
-    yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.difop)
+    yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.difop, first)
 
 
-def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
+def difop_packets(unit: RobosenseUnit, mount: Mount, times_ns: np.ndarray) -> Packets:
     """The DIFOP packets (n,) of these times (n,). Raises ConfigError for angles that they cannot hold."""
     data = np.full((len(times_ns), SIZE), UNUSED, np.uint8)
     series = unit.series
@@ -105,11 +106,11 @@ def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
 
 
 def imu_payloads(
-    unit: Unit, imu: AiryImu, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: RobosenseUnit, imu: AiryImu, mount: Mount, trajectory: "Trajectory", start_ns: int, due_ns: range
 ) -> Iterator[Payloads]:
     """A packet a measurement, counted from 1: accelerations, gravity included, and rates in the sensor's frame."""
     headers = unit.facts.headers
-    for number, time_ns, sent_ns in samples(start_ns, duration_ns, SECOND_NS // imu.rate_hz):
+    for number, time_ns, sent_ns in samples(start_ns, due_ns, SECOND_NS // imu.rate_hz):
         packets: Packets = np.zeros(len(number), IMU)
         packets["id"] = IMU_ID
         packets["tail"] = IMU_TAIL
@@ -129,7 +130,7 @@ def _counts(values: Array, full: int) -> Array:
     return np.clip(np.rint(values / full * IMU_FULL), -IMU_FULL, IMU_FULL - 1)
 
 
-def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
+def angles(unit: RobosenseUnit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
     """(L,) as DIFOP packets say them. Raises ConfigError for what is not in hundredths of a degree, to 90."""
     hundredths = np.rint(np.array(degrees) * 100).astype(np.int64)
     for k in np.flatnonzero((abs(hundredths / 100 - degrees) > 1e-9) | (abs(hundredths) > ANGLE_MAX)):

@@ -15,7 +15,7 @@ from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
 from lidarcfg.packets.velodyne import decode, encode, telemetry
 from lidarcfg.packets.velodyne.layout import PACKET, bytes_of, packets_of
-from lidarcfg.packets.velodyne.model import Facts, Settings, Status, Unit, unit
+from lidarcfg.packets.velodyne.model import Status, VelodyneFacts, VelodyneSettings, VelodyneUnit, unit
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
 from lidarcfg.sensors.firing import FiringBatch, ranked
 from lidarcfg.sensors.rig import Mount
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
-__all__ = ["Facts", "Settings", "Unit", "Velodyne", "unit"]
+__all__ = ["Velodyne", "VelodyneFacts", "VelodyneSettings", "VelodyneUnit", "unit"]
 
 CALIBRATION_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
 
@@ -34,8 +34,8 @@ CALIBRATION_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packe
 class Velodyne(SequenceTiming, Codec):
     """The packets of one Velodyne sensor."""
 
-    facts_model = Facts
-    settings_model = Settings
+    facts_model = VelodyneFacts
+    settings_model = VelodyneSettings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
@@ -48,14 +48,14 @@ class Velodyne(SequenceTiming, Codec):
 
     def check(self, mount: Mount) -> None:
         encode.check_encodable(self.unit, mount.return_mode)
-        mount.settings.checked(Settings)
+        mount.settings.checked(VelodyneSettings)
         assert self.unit.resolution_m
         if self.unit.facts.headers is None:
             raise ConfigError(f"sensor {self.unit.name!r} cannot be exported: its file has no velodyne.headers")
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         headers = self.unit.facts.headers
-        pps = mount.settings.checked(Settings).pps
+        pps = mount.settings.checked(VelodyneSettings).pps
         assert headers
         packets = encode.encode(self.unit, mount.return_mode, batch.firings, range_m, reflectivity, pps)
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
@@ -69,9 +69,9 @@ class Velodyne(SequenceTiming, Codec):
         return ranked(types, self.unit.range.holds_both(range_m), reflectivity) if mount.dual else types
 
     def housekeeping(
-        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
-        return telemetry.position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
+        return telemetry.position_payloads(self.unit, mount, trajectory, origin, start_ns, due_ns)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
@@ -96,7 +96,7 @@ class Velodyne(SequenceTiming, Codec):
         return decode.VelodyneDecoder(source.where, self.unit, found, known, trusted)
 
 
-def _units(known: KnownSensors) -> Sequence[Unit]:
+def _units(known: KnownSensors) -> Sequence[VelodyneUnit]:
     return [unit(sensor) for sensor in known()]
 
 

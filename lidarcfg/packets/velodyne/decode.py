@@ -25,7 +25,7 @@ from lidarcfg.packets.velodyne.layout import (
     packets_of,
 )
 from lidarcfg.packets.velodyne.model import (
-    Unit,
+    VelodyneUnit,
     block_flags,
     is_dual,
     slots,
@@ -41,7 +41,7 @@ class VelodyneDecoder(Decoder):
     """Decodes the packets of one Velodyne sensor, with the calibration in their status bytes if there is one."""
 
     def __init__(
-        self, where: str, unit: Unit, found: EmbeddedCalibration | None, known: KnownSensors, trusted: bool
+        self, where: str, unit: VelodyneUnit, found: EmbeddedCalibration | None, known: KnownSensors, trusted: bool
     ) -> None:
         self._where = where
         self._known = known
@@ -121,7 +121,7 @@ class VelodyneDecoder(Decoder):
 
 
 def decode(
-    unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags | None = None, polar: bool = True
+    unit: VelodyneUnit, packets: Packets, host_time_ns: Times, wanted: Flags | None = None, polar: bool = True
 ) -> DecodedReturns:
     """The returns of one sensor's successive packets (P,), or of those that are wanted (P,).
 
@@ -149,7 +149,7 @@ def decode(
 
 
 def _decode(
-    unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool
+    unit: VelodyneUnit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool
 ) -> DecodedReturns:
     """`decode` for packets that are all dual or all single."""
     facts = unit.packet
@@ -173,7 +173,7 @@ def _decode(
 
 
 @lru_cache
-def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
+def _decoder(unit: VelodyneUnit, dual: bool) -> core.VelodyneDecoder:
     numbers = slots(unit.packet, dual).ravel()
     width = unit.span(dual) * SLOTS
     fired = numbers // (1 + dual)
@@ -187,14 +187,14 @@ def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
     sensor = unit.sensor
     near = unit.near_offset_m
     focal = unit.focal
-    slots_ = blocks.BlockSlots(
+    slots_ = core.BlockSlots(
         laser=fired[:width] % unit.count,
         fraction=((offset_ns - unit.head_offset_ns) / group_ns - group).reshape(-1, width),
         offset_ns=offset_ns.reshape(-1, width),
         kind=(numbers[:width] % (1 + dual)).astype(np.uint8),
         other=other,
     )
-    lasers = blocks.BlockLasers(
+    lasers = core.BlockLasers(
         elevation=sensor.elevation_rad,
         azimuth_offset=sensor.azimuth_offset_rad,
         forward=np.zeros(unit.count),
@@ -208,7 +208,7 @@ def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
     return core.VelodyneDecoder(slots_, lasers, unit.period_ns(dual), group_ns, unit.resolution_m)
 
 
-def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Bytes]:
+def returned(unit: VelodyneUnit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Bytes]:
     """Distances in units, 0 for no return, and intensities that the packets (P,) hold of their N firings in all.
 
     Both (N, 1), or (N, 2) with dual returns, in the order of what is encoded.
@@ -224,7 +224,7 @@ def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np
     return distance, intensity
 
 
-def identify(where: str, packets: Packets, known: Sequence[Unit]) -> Unit:
+def identify(where: str, packets: Packets, known: Sequence[VelodyneUnit]) -> VelodyneUnit:
     """Which of the known sensors sends these successive packets (P,). Raises PacketError, which begins with `where`.
 
     Where several share a product id, the time between packets decides, and then the one that is not old firmware.
@@ -250,7 +250,7 @@ def identify(where: str, packets: Packets, known: Sequence[Unit]) -> Unit:
     return fits[0]
 
 
-def alike(unit: Unit, known: Sequence[Unit]) -> tuple[str, ...]:
+def alike(unit: VelodyneUnit, known: Sequence[VelodyneUnit]) -> tuple[str, ...]:
     """The names of the known sensors with the same packets as this one, such as a VLP-16 and a Puck LITE."""
     return (unit.name, *(other.name for other in known if other.packet.sent_as == unit.name))
 
@@ -263,7 +263,7 @@ def check_one_id(where: str, packets: Packets) -> None:
         raise PacketError(f"{where} sends product ids 0x{ids[0]:02X} and 0x{ids[other][0]:02X}: two models on one port")
 
 
-def check_ids(where: str, unit: Unit, packets: Packets, trusted: bool) -> None:
+def check_ids(where: str, unit: VelodyneUnit, packets: Packets, trusted: bool) -> None:
     """Raises PacketError if a packet is of another model than the others or, if trusted, than it should be."""
     facts = unit.packet
     if not facts.product_ids:
@@ -277,7 +277,7 @@ def check_ids(where: str, unit: Unit, packets: Packets, trusted: bool) -> None:
     check_one_id(where, packets)
 
 
-def azimuths(unit: Unit, packets: Packets) -> NDArray[np.uint16]:
+def azimuths(unit: VelodyneUnit, packets: Packets) -> NDArray[np.uint16]:
     """(P, 12) of the blocks of packets (P,); 0 for those that the sensor does not use."""
     count = np.array([len(slots(unit.packet, dual)) for dual in (False, True)])
     azimuth = packets["blocks"]["azimuth"]
@@ -285,14 +285,14 @@ def azimuths(unit: Unit, packets: Packets) -> NDArray[np.uint16]:
     return np.asarray(np.where(used, azimuth, 0))
 
 
-def check_period(where: str, unit: Unit, packets: Packets) -> None:
+def check_period(where: str, unit: VelodyneUnit, packets: Packets) -> None:
     """Raises PacketError unless these successive packets (P,) come as this sensor's do."""
     gap_us = _gap_us(packets)
     if not _fits(unit, packets, gap_us):
         raise PacketError(f"{where} sends a packet every {gap_us:g} us; {_periods([unit], packets)}")
 
 
-def _has_flags(unit: Unit, packets: Packets) -> bool:
+def _has_flags(unit: VelodyneUnit, packets: Packets) -> bool:
     used = len(slots(unit.packet, dual=True))  # no fewer with single returns
     return set(packets["blocks"]["flag"][0, :used].tolist()) == set(unit.packet.block_flags)
 
@@ -305,18 +305,18 @@ def _gap_us(packets: Packets) -> float:
     return float(np.median(gaps)) if len(gaps) else 0.0
 
 
-def _period_us(unit: Unit, packets: Packets) -> float:
+def _period_us(unit: VelodyneUnit, packets: Packets) -> float:
     dual = is_dual(unit.packet, packets)
     return unit.period_ns(bool(dual.mean() > 0.5)) / 1000
 
 
-def _fits(unit: Unit, packets: Packets, gap_us: float) -> bool:
+def _fits(unit: VelodyneUnit, packets: Packets, gap_us: float) -> bool:
     """Whether the gap is the sensor's period or, with packets lost, a few of them."""
     periods = gap_us / _period_us(unit, packets)
     return not gap_us or (round(periods) >= 1 and abs(periods - round(periods)) <= PERIOD_TOLERANCE)
 
 
-def _periods(units: list[Unit], packets: Packets) -> str:
+def _periods(units: list[VelodyneUnit], packets: Packets) -> str:
     return ", ".join(f"{unit.name} would every {_period_us(unit, packets):g}" for unit in units)
 
 

@@ -1,7 +1,5 @@
 """Encodes firings and their measurements as packets."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,23 +18,13 @@ from lidarcfg.packets.velodyne.layout import (
     bytes_of,
     stamp_us,
 )
-from lidarcfg.packets.velodyne.model import Unit, block_flags, slots
+from lidarcfg.packets.velodyne.model import VelodyneUnit, block_flags, slots
 from lidarcfg.packets.velodyne.telemetry import calibration, status_bytes
 from lidarcfg.sensors.firing import Firings
 
 
-class NearLasers(NamedTuple):
-    """The L lasers, whose distances near by have offsets of their own: angles in radians, lengths in metres."""
-
-    elevation: Array
-    azimuth_offset: Array
-    left: Array
-    distance_offset: Array  # far off
-    near_offset: Array  # (L, 2) to the side and ahead
-
-
 def encode(
-    unit: Unit,
+    unit: VelodyneUnit,
     return_mode: str,
     fired: Firings,
     range_m: Array,
@@ -64,7 +52,7 @@ def encode(
     core.write_velodyne_returns(*measured, number, unit.distance_offset_m[laser], limits, data)
     if unit.near_offset_m is not None:
         sensor = unit.sensor
-        lasers = NearLasers(
+        lasers = core.NearLasers(
             elevation=sensor.elevation_rad,
             azimuth_offset=sensor.azimuth_offset_rad,
             left=sensor.lateral_offset_m,
@@ -86,7 +74,7 @@ def encode(
     return packets
 
 
-def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
+def sent(unit: VelodyneUnit, return_mode: str, packets: Packets) -> Flags:
     """(N, 1) or (N, 2): which are returns in the packets; of two equal ones, only the first."""
     distance, intensity = returned(unit, return_mode, packets)
     found: Flags = distance > 0
@@ -95,7 +83,7 @@ def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
     return found
 
 
-def check_encodable(unit: Unit, return_mode: str) -> None:
+def check_encodable(unit: VelodyneUnit, return_mode: str) -> None:
     """Raises ConfigError unless packets can say the sensor's returns in this mode, and its calibration."""
     if return_mode not in ("strongest", "last", "dual"):
         what = f"return_mode: {return_mode!r} is not allowed"
@@ -109,12 +97,12 @@ def check_encodable(unit: Unit, return_mode: str) -> None:
         calibration(unit, unit.packet.status, return_mode)
 
 
-def _block_azimuths(unit: Unit, fired: Firings, dual: bool) -> NDArray[np.int64]:
+def _block_azimuths(unit: VelodyneUnit, fired: Firings, dual: bool) -> NDArray[np.int64]:
     """(P, blocks' times) in hundredths of a degree: where the head points at the first firing of each."""
     head_rad = unit.firing_schedule(dual).head_rad(fired)
     return np.asarray(np.rint(head_rad / RADIANS).astype(np.int64) % REVOLUTION)
 
 
-def _limits(unit: Unit) -> tuple[float, float, float, float]:
+def _limits(unit: VelodyneUnit) -> tuple[float, float, float, float]:
     """The reported range, from and to, in metres; the packet's unit; and how many units it can hold."""
     return *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)

@@ -10,7 +10,8 @@ from pydantic_core import PydanticCustomError
 
 from lidarcfg.config.models import Model, Positive, validation_error
 from lidarcfg.geometry import Array, Times
-from lidarcfg.packets.facts import Header, Network, SensorInstance, SequenceFiring, check_firing
+from lidarcfg.packets.headers import Header, Network
+from lidarcfg.packets.sensor_unit import SensorUnit, SequenceFiring, check_firing
 from lidarcfg.packets.velodyne.layout import BLOCKS, RETURNS, SLOTS, Packets, PpsState
 from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Millimetres, Sensor, check_lengths
@@ -134,24 +135,24 @@ class PositionPacket(Model):
     sentence_without_gps: Literal["none", "since 2000"] = "none"  # the latter: as if it was switched on at 2000-01-01
 
 
-class Headers(Network):
+class VelodyneHeaders(Network):
     """The network headers of the sensor's datagrams."""
 
     data: Header
     position: Header | None = None
 
 
-class Facts(Model):
+class VelodyneFacts(Model):
     """The key `velodyne` of a sensor's file."""
 
     firing: SequenceFiring
     packet: VelodynePacketFacts
     calibration: Calibration = Calibration()
     position_packet: PositionPacket | None = None
-    headers: Headers | None = None
+    headers: VelodyneHeaders | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> "Facts":
+    def _check(self) -> "VelodyneFacts":
         flags = self.packet.block_flags
         if len(flags) not in GROUP_BLOCKS:
             what = f"has {len(flags)} values; allowed: {', '.join(map(str, GROUP_BLOCKS))}"
@@ -161,7 +162,7 @@ class Facts(Model):
         return self
 
 
-class Settings(Model):
+class VelodyneSettings(Model):
     """The key `velodyne` of a mount in a rig's file."""
 
     pps: PpsState = "locked"  # what position packets and status bytes say of the GPS receiver's pulse
@@ -175,7 +176,7 @@ class Settings(Model):
         return value
 
 
-class Unit(SensorInstance[Facts]):
+class VelodyneUnit(SensorUnit[VelodyneFacts]):
     """A sensor with the facts of its packets."""
 
     @property
@@ -236,10 +237,10 @@ class Unit(SensorInstance[Facts]):
 
 
 @lru_cache(64)
-def unit(sensor: Sensor) -> Unit:
+def unit(sensor: Sensor) -> VelodyneUnit:
     """The sensor with the key `velodyne` of its file. Raises ConfigError with file, line and key."""
     section = sensor.section
-    facts = section.checked(Facts)
+    facts = section.checked(VelodyneFacts)
     check_firing(section, facts.firing, sensor)
     if facts.packet.sequences_per_block * sensor.count != SLOTS * len(facts.packet.block_flags):
         what = f"{sensor.count} beams × {facts.packet.sequences_per_block} do not fill the blocks of {SLOTS} returns"
@@ -248,7 +249,7 @@ def unit(sensor: Sensor) -> Unit:
         check_lengths(facts.calibration, sensor.count)
     except PydanticCustomError as error:
         raise section.error(("calibration", *(error.context or {})["at"]), error.message()) from None
-    return Unit(sensor, facts)
+    return VelodyneUnit(sensor, facts)
 
 
 def block_flags(facts: VelodynePacketFacts, dual: bool) -> tuple[int, ...]:

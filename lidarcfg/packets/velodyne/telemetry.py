@@ -32,9 +32,9 @@ from lidarcfg.packets.velodyne.layout import (
 from lidarcfg.packets.velodyne.model import (
     Calibration,
     InertialScales,
-    Settings,
     Status,
-    Unit,
+    VelodyneSettings,
+    VelodyneUnit,
 )
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Beams
@@ -99,10 +99,10 @@ class EmbeddedCalibration:
     calibration: Calibration
     return_mode: str  # of single returns
 
-    def unit(self, example: Unit) -> Unit:
+    def unit(self, example: VelodyneUnit) -> VelodyneUnit:
         """The example unit with the calibration from the packets in place of its own."""
         sensor = example.sensor.model_copy(update={"beams": self.beams})
-        return Unit(sensor, example.facts.model_copy(update={"calibration": self.calibration}))
+        return VelodyneUnit(sensor, example.facts.model_copy(update={"calibration": self.calibration}))
 
 
 def crc16(data: bytes) -> int:
@@ -116,7 +116,7 @@ def crc16(data: bytes) -> int:
 
 
 @lru_cache
-def calibration(unit: Unit, status: Status, return_mode: str) -> bytes:
+def calibration(unit: VelodyneUnit, status: Status, return_mode: str) -> bytes:
     """The calibration of a sensor's beams in the format of status bytes. Times and thresholds are zero.
 
     Values are rounded to the format's digits. Raises ConfigError for values that it cannot hold.
@@ -166,7 +166,7 @@ def _fill(
 
 
 def status_bytes(
-    unit: Unit, status: Status, return_mode: str, pps: PpsState, stamp_ns: NDArray[np.int64], period_ns: int
+    unit: VelodyneUnit, status: Status, return_mode: str, pps: PpsState, stamp_ns: NDArray[np.int64], period_ns: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Types (P,) and values (P,) of the packets with these stamps: the same whatever packets they come with."""
     carries = calibration(unit, status, return_mode)
@@ -237,18 +237,18 @@ def _read(table: NDArray[np.void]) -> tuple[Beams, Calibration]:
 
 
 def position_payloads(
-    unit: Unit, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+    unit: VelodyneUnit, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
 ) -> Iterator[Payloads]:
     """The position packets of a sensor that has them, evenly spaced."""
     facts = unit.facts.position_packet
     headers = unit.facts.headers
     if facts is None or headers is None or headers.position is None:
         return
-    settings = mount.settings.checked(Settings)
+    settings = mount.settings.checked(VelodyneSettings)
     period_ns = SECOND_NS / Fraction(facts.rate_hz)
-    total = math.ceil(duration_ns / period_ns)
-    for first in range(0, total, CHUNK):
-        numbers = range(first, min(first + CHUNK, total))
+    begin, end = (math.ceil(at_ns / period_ns) for at_ns in (due_ns.start, due_ns.stop))
+    for first in range(begin, end, CHUNK):
+        numbers = range(first, min(first + CHUNK, end))
         times_ns = start_ns + np.array([int(number * period_ns) for number in numbers], np.int64)
         nmea = sentences(unit, settings, trajectory, origin, start_ns, times_ns)
         packets = position_packets(times_ns, settings.pps, nmea)
@@ -281,7 +281,12 @@ def inertial(facts: InertialScales, acceleration_g: Array, rate_deg_s: Array) ->
 
 
 def sentences(
-    unit: Unit, settings: Settings, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, times_ns: Times
+    unit: VelodyneUnit,
+    settings: VelodyneSettings,
+    trajectory: "Trajectory",
+    origin: "GeoOrigin",
+    start_ns: int,
+    times_ns: Times,
 ) -> list[bytes]:
     """The GPS receiver's last sentence at each of these times (n,), with a fix if its pulse is locked."""
     facts = unit.facts.position_packet

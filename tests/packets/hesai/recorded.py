@@ -7,7 +7,7 @@ import numpy as np
 from lidarcfg.capture.pcap import read_batches
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai import telemetry
-from lidarcfg.packets.hesai.model import Unit
+from lidarcfg.packets.hesai.model import HesaiUnit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import load_sensor
 from tests.capture_fixtures import no_warning, recording
@@ -43,7 +43,7 @@ class Recorded:
         """The model with the unit's own angles."""
         nominal = codec(load_sensor(self.model)).unit
         beams = telemetry.parse_corrections(self.angles, self.table)
-        return Unit(nominal.sensor.model_copy(update={"beams": beams}), nominal.facts)
+        return HesaiUnit(nominal.sensor.model_copy(update={"beams": beams}), nominal.facts)
 
     @property
     def nebula_m(self):

@@ -5,9 +5,9 @@ import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.capture.scans import scans
+from lidarcfg.capture.revolutions import revolutions
 from lidarcfg.io.bag import save_bag
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.world.scene import load_scene
@@ -18,12 +18,13 @@ FIELDS = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("intensity", 12, 7), ("ring", 
 STAMPED = np.dtype([("xyz", "<f4", 3), ("intensity", "<f4"), ("ring", "<u2"), ("timestamp", "<f8")])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["pandar-xt16", "ot128"])
 def test_fields_as_the_makers_drivers_publish_them(model, tmp_path):
     mounts = (hesai(model), mount(1))
     topic = f"/{model.replace('-', '_')}/points"
     path = tmp_path / "two.pcap"
-    streams = simulated_frames(Rig("two", mounts), load_scene(STREET), np.eye(4), 50_000_000)
+    streams = simulated_packets(Rig("two", mounts), load_scene(STREET), np.eye(4), 50_000_000)
     write_pcap(path, in_time_order(streams))
     save_sidecar_files(path, mounts)
     save_bag(tmp_path / "bag", path, "sqlite3", Rig("two", mounts), None, lambda warning: None)
@@ -40,7 +41,7 @@ def test_fields_as_the_makers_drivers_publish_them(model, tmp_path):
     message = messages[topic]
     assert message.point_step == 26
     rows = np.frombuffer(bytes(message.data), STAMPED)
-    (scan,) = (scan for scan in scans(path, no_warning, Rig("two", mounts)) if scan.sensor_names == (model,))
+    (scan,) = (scan for scan in revolutions(path, no_warning, Rig("two", mounts)) if scan.sensor_names == (model,))
     np.testing.assert_array_equal(rows["xyz"], scan.xyz.astype("<f4"))
     np.testing.assert_array_equal(rows["ring"], scan.ring)
     np.testing.assert_array_equal(rows["intensity"], scan.intensity)

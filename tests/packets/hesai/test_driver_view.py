@@ -26,6 +26,7 @@ def loops_of(model: str, size: int) -> list[list[float]]:
     return loops
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 @pytest.mark.parametrize("model", [*XT, "qt128"])
 def test_points_and_times_are_those_of_hesais_sdk(model, mode, tmp_path):

@@ -7,13 +7,14 @@ import pytest
 from hydra4.decoders.pandar_xt32 import PandarXT32
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
-from lidarcfg.capture.frames import frames
+from lidarcfg.capture.ethernet import ethernet_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import spans
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.scene import load_scene
@@ -31,7 +32,7 @@ def sensed(of, packets, seed=1):
     rng = np.random.default_rng(seed)
     maker = codec(of.sensor)
     columns = 1 + of.dual
-    for batch in maker.schedule(of, START_NS, packets, CHUNK):
+    for batch in maker.schedule(of, START_NS, spans(packets, CHUNK)):
         shape = len(batch.firings.time_ns), columns
         range_m = np.sort(rng.uniform(of.sensor.range.min_m, of.sensor.range.max_m, shape), axis=1)
         range_m[rng.random(len(range_m)) < 0.1] = np.inf
@@ -49,7 +50,7 @@ def capture(of, path, packets, keep=lambda payloads: slice(None)):
     parts = list(sensed(of, packets))
     some = [(part[3], keep(part[3])) for part in parts]
     kept = [replace(one, time_ns=one.time_ns[rows], data=one.data[rows]) for one, rows in some]
-    write_pcap(path, (frames(of.host, one) for one in kept))
+    write_pcap(path, (ethernet_frames(of.host, one) for one in kept))
     save_sidecar_files(path, [of])
     columns = [np.concatenate([part[i] for part in parts]) for i in (1, 2)]
     firings = [np.concatenate([getattr(part[0].firings, key) for part in parts]) for key in ("time_ns", "encoder_rad")]
@@ -80,6 +81,7 @@ KINDS = {  # of the first and the second of two returns; the second strongest ma
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "mode"), [*SINGLE, *PAIRS])
 def test_each_return_comes_back(model, mode, tmp_path):
     """Range within half a unit, direction within half a hundredth of a degree, the rest exactly."""
@@ -295,7 +297,7 @@ def test_azimuth_windows(model, tmp_path):
 def test_chunks_do_not_matter():
     of = mount("qt128", "dual", azimuth_fov_deg=(10.0, 90.0), phase_deg=30.0)
     maker = codec(of.sensor)
-    whole, parts = (list(maker.schedule(of, START_NS + 777, 500, chunk)) for chunk in (500, 33))
+    whole, parts = (list(maker.schedule(of, START_NS + 777, spans(500, chunk))) for chunk in (500, 33))
     for key in ("number", "sent_ns"):
         np.testing.assert_array_equal(getattr(whole[0], key), np.concatenate([getattr(one, key) for one in parts]))
     for key in ("time_ns", "laser", "encoder_rad"):
@@ -306,7 +308,7 @@ def test_chunks_do_not_matter():
 def test_the_phase_lock():
     """At a whole second the head points there, clockwise from the x axis."""
     of = mount("pandar-xt32", phase_deg=123.0)
-    batch = next(codec(of.sensor).schedule(of, START_NS, 2500, 2500))
+    batch = next(codec(of.sensor).schedule(of, START_NS, [range(2500)]))
     for second in (0, 1):
         nearest = np.argmin(abs(batch.firings.time_ns - START_NS - second * SECOND_NS))
         assert abs(np.degrees(batch.firings.encoder_rad[nearest]) - 123.0) < 0.2
@@ -321,7 +323,7 @@ def test_a_rig_of_two_in_the_street(tmp_path):
     rig = Rig("two", mounts)
     path = tmp_path / "two.pcap"
     truth = []
-    streams = simulated_frames(rig, load_scene(STREET), np.eye(4), SECOND_NS // 10, on_truth=truth.append)
+    streams = simulated_packets(rig, load_scene(STREET), np.eye(4), SECOND_NS // 10, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     names = {one.name for one in save_sidecar_files(path, mounts)}
     assert names == {"two-left-192.168.1.201-2368-angles.csv", "two-right-192.168.1.202-2368-angles.csv"}
@@ -422,7 +424,7 @@ def test_packets_that_make_no_sense(at, value, what, tmp_path):
     of = mount("pandar-xt16")
     ((_, _, _, payloads),) = sensed(of, 20)
     payloads.data[:, at] = value
-    write_pcap(path, [frames(of.host, payloads)])
+    write_pcap(path, [ethernet_frames(of.host, payloads)])
     save_sidecar_files(path, [of])
     with refused(what, kind=PacketError):
         list(decode_pcap(path, no_warning))
@@ -442,7 +444,7 @@ def test_seconds_since_1970_most_significant_first(tmp_path):
     ((_, _, _, payloads),) = sensed(of, 20)
     second = START_NS // SECOND_NS + 5
     payloads.data[:, 553:559] = np.frombuffer(b"\0\0" + second.to_bytes(4), np.uint8)
-    write_pcap(path, [frames(of.host, payloads)])
+    write_pcap(path, [ethernet_frames(of.host, payloads)])
     save_sidecar_files(path, [of])
     cloud = concatenate(list(decode_pcap(path, no_warning)))
     assert set((cloud.time_ns // SECOND_NS).tolist()) == {second}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.frames import frames
+from lidarcfg.capture.ethernet import ethernet_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.families import codec
@@ -14,6 +14,7 @@ from lidarcfg.units import START_NS
 from tests.packets.hesai.recorded import mount
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 @pytest.mark.parametrize("model", ["pandar-xt32", "pandar-xt16", "xt32m2x", "qt128", "ot128"])
 def test_changed_octets(model, mode, tmp_path):
@@ -21,7 +22,7 @@ def test_changed_octets(model, mode, tmp_path):
     of = mount(model, mode)
     path = tmp_path / "drive.pcap"
     maker = codec(of.sensor)
-    batch = next(maker.schedule(of, START_NS, 50, 50))
+    batch = next(maker.schedule(of, START_NS, [range(50)]))
     shape = len(batch.firings.time_ns), 1 + (mode == "dual")
     payloads = maker.encode(of, batch, rng.uniform(1, 40, shape), rng.integers(0, 256, shape, np.uint8))
     most = 65535 * 0.255
@@ -34,7 +35,7 @@ def test_changed_octets(model, mode, tmp_path):
             column = rng.choice(head) if rng.random() < 0.7 else rng.integers(data.shape[1])
             rows = slice(None) if rng.random() < 0.5 else rng.integers(50)
             data[rows, column] = rng.integers(256)
-        write_pcap(path, [frames(of.host, replace(payloads, data=data))])
+        write_pcap(path, [ethernet_frames(of.host, replace(payloads, data=data))])
         try:
             for cloud in decode_pcap(path, lambda warning: None):
                 assert np.isfinite(cloud.xyz).all()

@@ -8,8 +8,8 @@ import pytest
 from hydra4.decoders.pandar_ot128 import PandarOT128
 
 from lidarcfg.capture.decode import decode, decode_pcap
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
-from lidarcfg.capture.frames import frames
+from lidarcfg.capture.ethernet import ethernet_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.config.models import Section
@@ -39,7 +39,7 @@ def sensed(of, packets):
     """A batch with ranges and reflectivities out of a hat: a tenth measures nothing, half of the pairs are one."""
     rng = np.random.default_rng(3)
     maker = codec(of.sensor)
-    (batch,) = maker.schedule(of, START_NS, packets, packets)
+    (batch,) = maker.schedule(of, START_NS, [range(packets)])
     shape = len(batch.firings.time_ns), 1 + of.dual
     range_m = np.sort(rng.uniform(0.5, 40.0, shape), axis=1)
     range_m[:, 0] -= 0.02 * of.dual
@@ -54,11 +54,12 @@ def sensed(of, packets):
 def written(of, path, packets):
     """A capture of that, with its files."""
     batch, range_m, reflectivity, payloads = sensed(of, packets)
-    write_pcap(path, [frames(of.host, payloads)])
+    write_pcap(path, [ethernet_frames(of.host, payloads)])
     save_sidecar_files(path, [of])
     return batch, range_m, reflectivity, payloads
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "mode", "resolution"), CASES)
 def test_every_return_as_a_plain_loop_has_it(model, mode, resolution, tmp_path):
     """Places, reflectivities, types; and that what was written is what was fired at."""
@@ -145,10 +146,10 @@ def test_near_returns_of_a_pandar128_have_their_own_times(tmp_path):
     of = mount("pandar128", "strongest")
     path = tmp_path / "drive.pcap"
     maker = codec(of.sensor)
-    (batch,) = maker.schedule(of, START_NS, 2, 2)
+    (batch,) = maker.schedule(of, START_NS, [range(2)])
     range_m = np.where(np.arange(512)[:, None] < 256, 2.849, 2.851)
     payloads = maker.encode(of, batch, range_m, np.full((512, 1), 9, np.uint8))
-    write_pcap(path, [frames(of.host, payloads)])
+    write_pcap(path, [ethernet_frames(of.host, payloads)])
     save_sidecar_files(path, [of])
     cloud = concatenate(list(decode_pcap(path, no_warning)))
     stamp_ns = [naive.time_us(data.tobytes()) * 1000 for data in payloads.data]
@@ -171,7 +172,7 @@ def test_other_parts_than_are_written(model, resolution, tmp_path):
     data = np.concatenate([payloads.data[:, :12], body, payloads.data[:, 784:], np.zeros((40, 32), np.uint8)], axis=1)
     data[:, 11] = 0x1F
     path = tmp_path / "other.pcap"
-    write_pcap(path, [frames(of.host, replace(payloads, data=data))])
+    write_pcap(path, [ethernet_frames(of.host, replace(payloads, data=data))])
     save_sidecar_files(path, [of])
     np.testing.assert_array_equal(concatenate(list(decode_pcap(path, no_warning))).xyz, whole.xyz)
 
@@ -183,7 +184,9 @@ def test_lost_and_repeated_packets(resolution, tmp_path):
     path = tmp_path / "drive.pcap"
     *_, payloads = sensed(of, 200)
     rows = np.repeat(np.arange(200), np.where(np.arange(200) % 10 == 4, 0, np.where(np.arange(200) % 7 == 0, 2, 1)))
-    write_pcap(path, [frames(of.host, replace(payloads, data=payloads.data[rows], time_ns=payloads.time_ns[rows]))])
+    write_pcap(
+        path, [ethernet_frames(of.host, replace(payloads, data=payloads.data[rows], time_ns=payloads.time_ns[rows]))]
+    )
     save_sidecar_files(path, [of])
     stats = []
     cloud = concatenate(list(decode_pcap(path, no_warning, on_stats=stats.append)))
@@ -239,7 +242,7 @@ def test_a_rig_of_three_in_the_street(tmp_path):
     rig = Rig("three", mounts)
     path = tmp_path / "three.pcap"
     truth = []
-    streams = simulated_frames(rig, load_scene(STREET), np.eye(4), 10_000_000, on_truth=truth.append)
+    streams = simulated_packets(rig, load_scene(STREET), np.eye(4), 10_000_000, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     names = {one.name.removeprefix("three-") for one in save_sidecar_files(path, mounts)}
     assert "ot128-192.168.1.201-2368-firetimes.csv" in names

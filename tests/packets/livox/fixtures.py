@@ -35,7 +35,7 @@ def encoded(of: Mount, packets: int, seed: int = 1, start_ns: int = START_NS):
     """Random measurements, a tenth without return, as packets: batch, ranges, reflectivities, payloads."""
     maker = codec(of.sensor)
     rng = np.random.default_rng(seed)
-    (batch,) = maker.schedule(of, start_ns, packets, packets)
+    (batch,) = maker.schedule(of, start_ns, [range(packets)])
     shape = len(batch.firings.time_ns), 1
     range_m = np.where(rng.random(shape) < 0.1, np.inf, rng.uniform(0.6, 69, shape))
     reflectivity = rng.integers(0, 256, shape, np.uint8)

@@ -4,7 +4,7 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.io.bag import save_bag
 from lidarcfg.sensors.rig import Rig
@@ -25,7 +25,7 @@ def test_points_are_laid_out_as_the_drivers(tmp_path):
     rig = Rig("rig", (mount("hap"),))
     path = tmp_path / "a.pcap"
     there = scene(tmp_path, "ground: {reflectivity: 12}")
-    write_pcap(path, in_time_order(simulated_frames(rig, there, np.eye(4), 120_000_000)))
+    write_pcap(path, in_time_order(simulated_packets(rig, there, np.eye(4), 120_000_000)))
     assert save_bag(tmp_path / "bag", path, "sqlite3", rig, None, no_warning) == 3  # two frames, and the pose
     store = get_typestore(Stores.LATEST)
     with Reader(tmp_path / "bag") as reader:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.emulation import find_emulated
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.emulation_server import EmulationServer
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.replay import read_selected, replay
 from lidarcfg.capture.selection import ALL
-from lidarcfg.capture.services import Services
 from lidarcfg.packets.emulator import NetworkSite, RequestError
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.livox.emulator import LivoxEmulator
@@ -130,11 +130,11 @@ def test_a_repeated_capture_goes_on():
 def test_over_the_network(tmp_path):
     path = tmp_path / "a.pcap"
     there = scene(tmp_path, "ground: {reflectivity: 12}")
-    write_pcap(path, in_time_order(simulated_frames(Rig("r", (mount(),)), there, np.eye(4), 60_000_000)))
+    write_pcap(path, in_time_order(simulated_packets(Rig("r", (mount(),)), there, np.eye(4), 60_000_000)))
     (sensor,) = find_emulated(path, "127.0.0.1", None, ALL, no_warning)
     messages = []
     with (
-        Services([(sensor.site.address, one) for one in sensor.emulator.services], messages.append),
+        EmulationServer([(sensor.site.address, one) for one in sensor.emulator.services], messages.append),
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as driver,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as points,
     ):

@@ -11,6 +11,7 @@ from tests.capture_fixtures import write_datagrams
 from tests.packets.livox.fixtures import encoded, mount
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("data_type", ["cartesian_mm", "spherical"])
 def test_changed_bytes(data_type, tmp_path):
     rng = np.random.default_rng(5)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.families import codec
@@ -80,7 +80,7 @@ def test_any_bytes_are_read_as_a_second_decoder_reads_them(data_type):
 
 def test_a_point_by_hand():
     of = mount()
-    batch = next(codec(of.sensor).schedule(of, START_NS, 1, 1))
+    batch = next(codec(of.sensor).schedule(of, START_NS, [range(1)]))
     ahead = replace(batch.firings, encoder_rad=np.full(96, np.pi / 2), elevation_rad=np.full(96, np.pi / 6))
     range_m = np.full((96, 1), 10.0)
     payload = codec(of.sensor).encode(of, replace(batch, firings=ahead), range_m, np.full((96, 1), 7, np.uint8)).data[0]
@@ -93,7 +93,7 @@ def test_a_point_by_hand():
 def test_inertial_packets():
     of = mount()
     turning = Trajectory.static(np.eye(4))
-    (payloads,) = codec(of.sensor).housekeeping(of, turning, None, START_NS, 50_000_000)
+    (payloads,) = codec(of.sensor).housekeeping(of, turning, None, START_NS, range(50_000_000))
     assert (payloads.port, len(payloads.data), payloads.data.shape[1]) == (56401, 10, 60)
     for number, payload in enumerate(payloads.data):
         assert naive.checks(payload.tobytes())
@@ -109,7 +109,7 @@ def test_a_mixed_capture_reads_without_rig_and_counts_what_is_lost(tmp_path):
     rig = Rig("two", (mount(), mount("hap", "spherical", name="ahead", host="192.168.1.122")))
     there = scene(tmp_path, "ground: {reflectivity: 12}")
     path = tmp_path / "a.pcap"
-    write_pcap(path, in_time_order(simulated_frames(rig, there, np.eye(4), 60_000_000)))
+    write_pcap(path, in_time_order(simulated_packets(rig, there, np.eye(4), 60_000_000)))
     stats = []
     whole = decoded(path, on_stats=stats.append)
     assert {one.models for one in stats} == {("mid-360",), ("hap",)}

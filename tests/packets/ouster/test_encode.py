@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.capture.scans import scans
+from lidarcfg.capture.revolutions import revolutions
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError
@@ -65,7 +65,7 @@ def exported(folder, street, one, duration_ns=100_000_000, way=T_WORLD_VEHICLE):
     """The capture, its metadata and its ground truth."""
     truth = []
     path = folder / "a.pcap"
-    streams = simulated_frames(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
+    streams = simulated_packets(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     (metadata,) = save_sidecar_files(path, [one])
     assert metadata == folder / "a.json"
@@ -118,6 +118,7 @@ def check(path, metadata, truth, one, unit_mm):
     return theirs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
 def test_every_return_of_every_profile(tmp_path, street, profile):
     one = mount(dual="DUAL" in profile, profile=profile, firmware="3.2", fragments=profile != "LEGACY")
@@ -151,6 +152,7 @@ def test_every_return_of_every_profile(tmp_path, street, profile):
 OUSTER_CLI = [sys.executable, "-c", "from ouster.cli.core import run; run()", "source"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "columns"),
     [
@@ -177,6 +179,7 @@ def test_ouster_cli_reads_captures(tmp_path, street, settings, columns):
     assert int(re.search(r"Packet Count: (\d+)", stats)[1]) >= lidar
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["2.3", "3.2"])
 @pytest.mark.parametrize("columns", [512, 1024, 2048])
 @pytest.mark.parametrize("model", ["os1-32", "os1-64", "os0-128"])
@@ -190,6 +193,7 @@ def test_every_count_of_beams_and_columns(tmp_path, street, model, columns, firm
         assert all(theirs.crc_right)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [name for name in catalogue() if name.startswith("os")])
 def test_every_model(tmp_path, street, model):
     columns = 512
@@ -220,6 +224,7 @@ def test_the_stronger_of_two_returns_comes_first_with_firmware_2(tmp_path, stree
     assert (set(cloud.return_type), len(cloud.xyz)) == ({0, 2}, len(truth))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("columns", "rpm"), [(512, 600.0), (512, 1200.0), (1024, 1200.0), (2048, 600.0)])
 def test_modes(tmp_path, street, columns, rpm):
     one = mount(columns=columns, rpm=rpm)
@@ -273,7 +278,7 @@ def test_scans_are_the_frames_of_ouster_sdk(tmp_path, street):
     path, metadata, _ = exported(tmp_path, street, mount(columns=512), 300_000_000)
     theirs = judged(path, metadata)
     points = [int((theirs.fields["range"][theirs.frame == frame] > 0).sum()) for frame in range(3)]
-    assert [len(scan.xyz) for scan in scans(path, no_warning)] == points
+    assert [len(scan.xyz) for scan in revolutions(path, no_warning)] == points
 
 
 def test_lost_packets_are_counted(tmp_path, street):
@@ -363,7 +368,7 @@ def test_mistakes_of_a_rig(tmp_path, street, line, message):
     path = tmp_path / "rig.yaml"
     path.write_text(f"name: r\nsensors:\n- {{name: a, model: os1-32, position_m: [0, 0, 2], {line}}}\n")
     with pytest.raises(ConfigError, match=message):
-        simulated_frames(load_rig(path), street, T_WORLD_VEHICLE, 10**9)
+        simulated_packets(load_rig(path), street, T_WORLD_VEHICLE, 10**9)
 
 
 def test_a_rig_of_two_makers(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.frames import frames
+from lidarcfg.capture.ethernet import ethernet_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
@@ -24,7 +24,7 @@ ODD = (None, True, -1, 0, 3, 1e300, -1e300, float("nan"), "", "a", "LEGACY", [],
 def packets(one: Mount, number: int) -> tuple[Payloads, bytes]:
     """So many of them with returns everywhere, and their metadata."""
     family = codec(one.sensor)
-    batch = next(family.schedule(one, START_NS, number, number))
+    batch = next(family.schedule(one, START_NS, [range(number)]))
     count = len(batch.firings.time_ns)
     width = 1 + (one.return_mode == "dual")
     rng = np.random.default_rng(1)
@@ -67,6 +67,7 @@ def test_mutated_metadata():
     assert all(one.startswith("a.json: not the metadata of an Ouster: ") and "\n" not in one for one in messages)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["RNG19_RFL8_SIG16_NIR16", "LEGACY", "FUSA_RNG15_RFL8_NIR8_DUAL"])
 def test_mutated_packets(tmp_path, profile):
     one = mount(dual="DUAL" in profile, profile=profile, firmware="3.2", columns=512)
@@ -83,7 +84,7 @@ def test_mutated_packets(tmp_path, profile):
         heads = rng.integers(0, len(data), 8)
         data[heads, rng.integers(7 if profile != "LEGACY" else 0, 60, 8)] ^= rng.integers(1, 256, 8).astype(np.uint8)
         changed = Payloads(payloads.time_ns, data, 7502, payloads.network, payloads.header, 0)
-        write_pcap(path, [frames(one.host, changed)])
+        write_pcap(path, [ethernet_frames(one.host, changed)])
         stats = []
         try:
             cloud = concatenate(list(decode_pcap(path, lambda warning: None, on_stats=stats.append)))
@@ -124,7 +125,7 @@ def test_fragments(tmp_path, how):
     payloads, metadata = packets(one, 32)
     for name in ("whole", "odd"):
         (tmp_path / f"{name}.json").write_bytes(metadata)
-    write_pcap(tmp_path / "whole.pcap", [frames(one.host, payloads)])
+    write_pcap(tmp_path / "whole.pcap", [ethernet_frames(one.host, payloads)])
     whole = concatenate(list(decode_pcap(tmp_path / "whole.pcap", pytest.fail)))
     found = records(tmp_path / "whole.pcap")
     rng = random.Random(1)

@@ -20,7 +20,7 @@ def encoded(profile, firmware, fov=None):
     """Two packets around the azimuth window's end, what they are of, and what was measured."""
     one = mount("os0-32", dual="DUAL" in profile, profile=profile, firmware=firmware, columns=512, fov=fov)
     family = codec(one.sensor)
-    batch = next(family.schedule(one, START_NS, 32, 32))
+    batch = next(family.schedule(one, START_NS, [range(32)]))
     count = len(batch.firings.time_ns)
     width = 1 + ("DUAL" in profile)
     rng = np.random.default_rng(len(profile))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import check_exportable, in_time_order, simulated_frames
+from lidarcfg.capture.export import check_exportable, in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError, PacketError
@@ -53,7 +53,7 @@ def exported(folder, mounted, duration_ns=50_000_000, start_ns=START_NS):
     rig = Rig("rig", (mounted,))
     room = scene(folder, SCENE)
     write_pcap(
-        path, in_time_order(simulated_frames(rig, room, np.eye(4), duration_ns, start_ns, on_truth=truth.append))
+        path, in_time_order(simulated_packets(rig, room, np.eye(4), duration_ns, start_ns, on_truth=truth.append))
     )
     return path, np.concatenate(truth)
 
@@ -107,7 +107,7 @@ def test_the_twin_reads_single_returns(tmp_path, sensor, install_mode):
 def test_dual_returns_stand_in_pairs_of_blocks(sensor):
     """A column of the first returns, and then one of the second; of equal ones the first is decoded."""
     mounted = mount("airy", sensor=sensor, return_mode="dual")
-    (batch,) = codec(sensor).schedule(mounted, 0, 3, 3)
+    (batch,) = codec(sensor).schedule(mounted, 0, [range(3)])
     rng = np.random.default_rng(1)
     units = rng.integers(20, 12_000, (len(batch.firings.laser), 2))
     intensity = rng.integers(0, 256, units.shape, np.uint8)
@@ -176,7 +176,7 @@ def test_inertial_measurements(tmp_path, sensor):
     on_its_side = mount("airy", sensor=sensor, position_m=(0.0, 0.0, 0.0), rpy_rad=(-np.pi / 2, 0.0, 0.0))
     curve = Motion(arc=Arc(speed_m_s=10.0, yaw_rate_deg_s=float(np.degrees(0.5))))
     driven = Trajectory(np.eye(4), build_path(curve), START_NS)
-    _, sent = codec(sensor).housekeeping(on_its_side, driven, GeoOrigin(), START_NS, SECOND_NS // 10)
+    _, sent = codec(sensor).housekeeping(on_its_side, driven, GeoOrigin(), START_NS, range(SECOND_NS // 10))
     assert (sent.port, sent.data.shape) == (6688, (20, 51))
     for n, one in enumerate(sent.data):
         found = naive.imu(one.tobytes())
@@ -222,7 +222,7 @@ def test_beside_a_helios_on_one_host(tmp_path, sensor):
     mounts = mount("airy", sensor=sensor), mount("helios-32", name="helios", data_port=6700)
     path = tmp_path / "two.pcap"
     truth = []
-    streams = simulated_frames(Rig("rig", mounts), scene(tmp_path, SCENE), np.eye(4), 10**7, on_truth=truth.append)
+    streams = simulated_packets(Rig("rig", mounts), scene(tmp_path, SCENE), np.eye(4), 10**7, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     stats = []
     clouds = list(decode_pcap(path, no_warning, on_stats=stats.append))

@@ -14,6 +14,7 @@ from tests.packets.robosense.fixtures import mount
 MOST_M = 65535 * 0.0025 + 0.035
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 @pytest.mark.parametrize("model", ["helios-16p", "helios-32", "airy"])
 def test_changed_bytes(model, mode, tmp_path):
@@ -21,10 +22,10 @@ def test_changed_bytes(model, mode, tmp_path):
     of = mount(model, return_mode=mode)
     path = tmp_path / "drive.pcap"
     maker = codec(of.sensor)
-    batch = next(maker.schedule(of, START_NS, 40, 40))
+    batch = next(maker.schedule(of, START_NS, [range(40)]))
     shape = len(batch.firings.time_ns), 1 + (mode == "dual")
     msop = maker.encode(of, batch, rng.uniform(1, 40, shape), rng.integers(0, 256, shape, np.uint8)).data
-    difop = next(maker.housekeeping(of, None, None, START_NS, 1))
+    difop = next(maker.housekeeping(of, None, None, START_NS, range(1)))
     good = 0
     errors = []
     for _ in range(20):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import check_exportable, in_time_order, simulated_frames
+from lidarcfg.capture.export import check_exportable, in_time_order, simulated_packets
 from lidarcfg.capture.pcap import Datagram, write_pcap
 from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import concatenate
@@ -33,7 +33,7 @@ def exported(tmp_path, mounts, duration_s=0.25, start_ns=START_NS):
     truth = []
     rig = Rig("rig", tuple(mounts))
     way = np.eye(4)
-    streams = simulated_frames(
+    streams = simulated_packets(
         rig, scene(tmp_path, SCENE), way, round(duration_s * 1e9), start_ns, on_truth=truth.append
     )
     write_pcap(path, in_time_order(streams))
@@ -58,6 +58,7 @@ def patched(one, *patches):
     return Datagram(one.time_ns, one.host, one.source_port, one.port, bytes(data))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "last", "first", "dual"])
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("fov", [None, (300, 60)])
@@ -123,7 +124,7 @@ def test_dual_returns_stand_where_the_manual_says(tmp_path, model, lasers):
     """In halves of a block (16 lasers), or in odd and even blocks (32): of one azimuth, which is the next firing's."""
     mounted = mount(model, return_mode="dual")
     maker = codec(load_sensor(model))
-    (batch,) = maker.schedule(mounted, 0, 3, 3)
+    (batch,) = maker.schedule(mounted, 0, [range(3)])
     count = len(batch.firings.laser)
     rng = np.random.default_rng(1)
     units = rng.integers(80, 60_000, (count, 2))
@@ -172,7 +173,9 @@ def test_headers_are_the_manuals(tmp_path):
 
 def test_from_0_to_360_degrees_is_all_around():
     maker = codec(load_sensor("helios-32"))
-    (whole,), (same,) = (maker.schedule(mount("helios-32", azimuth_fov_deg=fov), 0, 9, 9) for fov in (None, (0, 360)))
+    (whole,), (same,) = (
+        maker.schedule(mount("helios-32", azimuth_fov_deg=fov), 0, [range(9)]) for fov in (None, (0, 360))
+    )
     assert (whole.firings.time_ns == same.firings.time_ns).all()
 
 

@@ -111,7 +111,7 @@ def test_the_recorded_difop_is_written_again():
     recorded = difop()
     angles = {"elevation_deg": tuple(naive.difop_angles(recorded)[0])}
     sensor = sensor.model_copy(update={"beams": sensor.beams.model_copy(update=angles)})
-    housekeeping = codec(sensor).housekeeping(mount("helios-32", sensor=sensor), None, None, 0, 10**9)
+    housekeeping = codec(sensor).housekeeping(mount("helios-32", sensor=sensor), None, None, 0, range(10**9))
     (one,) = housekeeping
     assert one.data.shape == (1, 1248)
     differs = np.flatnonzero(one.data[0] != np.frombuffer(recorded, np.uint8)).tolist()

@@ -10,7 +10,7 @@ import velodyne_decoder as vd
 import yaml
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import simulated_frames
+from lidarcfg.capture.export import simulated_packets
 from lidarcfg.capture.ground_truth import records
 from lidarcfg.cli.main import cli
 from lidarcfg.clouds.cloud import load_cloud
@@ -39,6 +39,7 @@ from tests.packets.velodyne.shaped import (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hdl-64e-s2", "hdl-64e-s3"])
 @pytest.mark.parametrize("mode", MODES)
 def test_a_unit_is_heard_as_it_was_met(name, mode, tmp_path):
@@ -130,6 +131,7 @@ READ_ELSEWHERE = {
 }
 
 
+@pytest.mark.slow
 def test_a_unit_through_the_commands(tmp_path):
     """A rig with a unit's file, exported and decoded: with the rig, or with what the capture carries, the same points."""
     unit = hdl_64e("hdl-64e-s3")
@@ -216,7 +218,7 @@ def test_a_unit_that_status_bytes_cannot_say(tmp_path, key, value, message):
     rig = Rig("one", (replace(mount(), sensor=unit),))
     where = re.escape(f"lidar_0: sensor 'hdl-64e-s3': {key}[5]: {message}")
     with pytest.raises(ConfigError, match=f"^{where}$"):
-        simulated_frames(rig, scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), 10**9)
+        simulated_packets(rig, scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), 10**9)
 
 
 def test_status_bytes_have_64_beams():

@@ -12,8 +12,8 @@ import velodyne_decoder as vd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.capture.export import in_time_order, simulated_frames
-from lidarcfg.capture.frames import Frames, frames
+from lidarcfg.capture.ethernet import EthernetFrames, ethernet_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.codec import Payloads
@@ -22,7 +22,7 @@ from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.packets.velodyne.telemetry import calibration
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
-from lidarcfg.simulate.tasks import SimulationOptions
+from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import SECOND_NS, START_NS
 from tests.capture_fixtures import datagrams_of, hdl_64e, mount, recording, scene
 from tests.naive import capture as naive
@@ -59,6 +59,7 @@ LAYOUTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sensor", "mode"), LAYOUTS)
 def test_every_layout_is_the_twins(sensor, mode):
     """Blocks in groups, pairs by block and by sequence, blocks that are left empty, status bytes; over the hour.
@@ -124,6 +125,7 @@ def test_every_layout_is_the_twins(sensor, mode):
         assert packet.tobytes() == expected
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(
     st.sampled_from(MODELS),
@@ -139,7 +141,7 @@ def test_frames_are_the_twins(name, position, host, port, number, time_us, paylo
     headers = facts(load_sensor(name)).headers
     header = headers.position if position and headers.position else headers.data
     octets = np.frombuffer(payload, np.uint8)[None]
-    sent = frames(str(host), Payloads(np.array([time_us * 1000]), octets, port, headers, header, number))
+    sent = ethernet_frames(str(host), Payloads(np.array([time_us * 1000]), octets, port, headers, header, number))
     macs = bytes.fromhex("ffffffffffff607688") + host.packed[1:]
     expected = naive.frame(
         macs,
@@ -174,7 +176,7 @@ def test_headers_are_those_of_recordings(name, kind, size):
         payload = np.frombuffer(frame[42:], np.uint8)[None]
         number = int.from_bytes(frame[18:20])
         sent = Payloads(np.array([0]), payload, port, facts(sensor).headers, header, number)
-        ours = frames(host, sent).records[0][16:]
+        ours = ethernet_frames(host, sent).records[0][16:]
         unit = slice(9, 12)  # of the MAC address; ours is made of the IP address
         same += ours[: unit.start] + frame[unit] + ours[unit.stop :] == frame
     assert same == (0 if (name, kind) == ("jerry_vlp16", "position") else len(real))
@@ -184,7 +186,7 @@ def test_headers_of_other_models():
     """As the facts have it: an HDL-64E sends from port 443, with TTL 128 and without "do not fragment"."""
     headers = facts(load_sensor("hdl-64e-s3")).headers
     payloads = Payloads(np.array([0]), np.zeros((1, 1206), np.uint8), 2368, headers, headers.data)
-    record = frames("10.0.0.9", payloads)
+    record = ethernet_frames("10.0.0.9", payloads)
     packet = dpkt.ethernet.Ethernet(record.records[0][16:]).data
     assert (packet.ttl, packet.df, packet.data.sport, packet.data.dport, packet.data.sum) == (128, 0, 443, 2368, 0)
     assert dpkt.in_cksum(record.records[0][30:50]) == 0
@@ -197,7 +199,7 @@ def test_models_without_headers(tmp_path):
     rig = "name: r\nsensors: [{name: s, model: a.yaml, position_m: [0, 0, 2]}]"
     (tmp_path / "rig.yaml").write_text(rig)
     with pytest.raises(ConfigError, match=r"s: sensor 'vlp-16' cannot be exported: its file has no velodyne\.headers"):
-        simulated_frames(
+        simulated_packets(
             load_rig(tmp_path / "rig.yaml"), scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), SECOND_NS
         )
     lines = text.splitlines(keepends=True)
@@ -214,6 +216,7 @@ def test_models_without_headers(tmp_path):
 PPS = vd.TelemetryPacket.PpsStatus
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "pps", "status", "sentence"),
     [
@@ -231,7 +234,7 @@ def test_states_of_the_pulse(tmp_path, model, pps, status, sentence):
     (tmp_path / "rig.yaml").write_text(rig)
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
     write_pcap(
-        tmp_path / "a.pcap", simulated_frames(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), 3 * SECOND_NS // 2)[0]
+        tmp_path / "a.pcap", simulated_packets(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), 3 * SECOND_NS // 2)[0]
     )
     sent = [d.payload for d in datagrams_of(tmp_path / "a.pcap") if d.port == 8308]
     assert len(sent) == math.ceil(1.5 * facts(load_sensor(model)).position_packet.rate_hz)
@@ -254,7 +257,7 @@ def test_states_of_the_pulse_in_status_bytes(tmp_path, name, pps, value):
     )
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
     write_pcap(
-        tmp_path / "a.pcap", simulated_frames(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS // 50)[0]
+        tmp_path / "a.pcap", simulated_packets(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS // 50)[0]
     )
     sent = [d.payload for d in datagrams_of(tmp_path / "a.pcap")]
     assert {payload[1205:] for payload in sent if payload[1204:1205] == b"G"} == {value}
@@ -276,7 +279,7 @@ def test_what_a_receiver_cannot_be(tmp_path, said, message):
     (tmp_path / "rig.yaml").write_text(text)
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
     with refused(message, rf"^{tmp_path}/rig\.yaml:2:\d+: sensors\[0\]\.velodyne\.", ConfigError):
-        simulated_frames(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS)
+        simulated_packets(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS)
 
 
 @given(
@@ -289,7 +292,7 @@ def test_the_order_of_time(streams, size):
     def batches(number, times):
         for i in range(0, len(times), size):
             part = times[i : i + size]
-            yield Frames(np.array(part), [b"%d %d %d" % (t, number, i + k) for k, t in enumerate(part)])
+            yield EthernetFrames(np.array(part), [b"%d %d %d" % (t, number, i + k) for k, t in enumerate(part)])
 
     merged = list(in_time_order([batches(number, times) for number, times in enumerate(streams)]))
     expected = sorted((t, number, k) for number, times in enumerate(streams) for k, t in enumerate(times))
@@ -316,6 +319,6 @@ def test_threads_do_not_matter(tmp_path, threads):
     stage = scene(tmp_path, f"ground: {{reflectivity: 9}}\n{box}")
     for name, options in (("a", SimulationOptions()), ("b", SimulationOptions(threads=threads, chunk_ns=9_000_000))):
         write_pcap(
-            tmp_path / name, in_time_order(simulated_frames(rig, stage, np.eye(4), SECOND_NS // 8, options=options))
+            tmp_path / name, in_time_order(simulated_packets(rig, stage, np.eye(4), SECOND_NS // 8, options=options))
         )
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

@@ -36,7 +36,7 @@ def read(payload):
 def sent(trajectory, rpy_deg=(0.0, 0.0, 0.0), model="hdl-32e"):
     sensor = load_sensor(model)
     one = replace(mount(position_m=(1.0, 0.5, 2.0), rpy_deg=rpy_deg), sensor=sensor, model=model)
-    packets = codec(sensor).housekeeping(one, trajectory, GeoOrigin(), AT_NS, SECOND_NS // 2)
+    packets = codec(sensor).housekeeping(one, trajectory, GeoOrigin(), AT_NS, range(SECOND_NS // 2))
     return [row.tobytes() for some in packets for row in some.data]
 
 

@@ -195,6 +195,7 @@ def test_other_packets_are_refused(change, message):
         decode(VLP16, packets, host_ns(fired))
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(
     st.lists(st.integers(0, 65535), min_size=384, max_size=384),

@@ -18,7 +18,7 @@ from lidarcfg.packets.families import codec
 from lidarcfg.packets.velodyne import encode as encoding
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.packets.velodyne.model import unit as unit_of
-from lidarcfg.sensors.firing import Firings
+from lidarcfg.sensors.firing import Firings, spans
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from tests.capture_fixtures import AT_NS, decoded, mount, no_warning, recording
@@ -120,6 +120,7 @@ def test_every_return_comes_back(name, mode):
     assert error_deg.max() <= 0.014
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 @pytest.mark.parametrize("mode", MODES)
 def test_packets_say_what_they_are(name, mode, tmp_path):
@@ -139,6 +140,7 @@ def test_packets_say_what_they_are(name, mode, tmp_path):
     assert stats[0].return_modes == (mode if facts(sensor).packet.return_modes or mode == "dual" else "strongest",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 @pytest.mark.parametrize("mode", MODES)
 def test_another_decoder_agrees(name, mode, tmp_path, calibrations):
@@ -366,7 +368,7 @@ def test_a_sector_and_back(name, mode, tmp_path):
     dual = mode == "dual"
     packets = 250_000_000 // packet_period_ns(sensor, dual)  # two turns and a half
     lidar = replace(mount(), sensor=sensor, return_mode=mode, azimuth_fov_deg=(low, high))
-    chunks = [batch.firings for batch in codec(sensor).schedule(lidar, AT_NS, packets, 100)]
+    chunks = [batch.firings for batch in codec(sensor).schedule(lidar, AT_NS, spans(packets, 100))]
     flat = Firings(*(np.concatenate([getattr(c, key) for c in chunks]) for key in ("time_ns", "laser", "encoder_rad")))
     assert (flat.laser == np.arange(len(flat.laser)) % sensor.count).all()
     fired = shaped(sensor, flat, dual)
@@ -426,6 +428,7 @@ def test_what_a_sensor_does_not_do():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())

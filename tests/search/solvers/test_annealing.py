@@ -264,6 +264,7 @@ def works(solver, rounds, ends):
     return runs
 
 
+@pytest.mark.slow
 def test_rounds_become_longer_and_the_best_end_so_far_is_refined(monkeypatch):
     """1,000 a dimension, 21,000, half as much again and so on, and a quarter of it for refining.
 

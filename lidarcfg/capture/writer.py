@@ -1,0 +1,344 @@
+"""Writes what the rays of a drive hit, in whoever's scene: packets to a capture or to a host, points to a cloud.
+
+`Drive.firings` has the rays. `lidarcfg.capture.export` sends the same packets from our own scenes.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from lidarcfg.capture.ethernet import ethernet_frames
+from lidarcfg.capture.export import save_sidecar_files
+from lidarcfg.capture.manifest import DriveInputs
+from lidarcfg.capture.manifest_writer import ManifestInputs
+from lidarcfg.capture.pcap import FILE_HEADER
+from lidarcfg.capture.replay import Senders, receiver_address
+from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, save_clouds
+from lidarcfg.errors import LidarcfgError, PacketError, reason
+from lidarcfg.files import replacing
+from lidarcfg.geometry import Array, Bytes
+from lidarcfg.packets.codec import Payloads
+from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import RETURN_TYPES
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.simulate.drive import Drive, FiredPackets, RayBatch, SensorTimeline
+from lidarcfg.simulate.echoes import EXACT, Echoes, SensorErrors
+from lidarcfg.simulate.scans import reported
+from lidarcfg.units import SECOND_NS
+
+UDP = "udp://"
+
+
+class Sent(NamedTuple):
+    """Payloads of a sensor."""
+
+    stream: int  # by which those of one time are ordered
+    mount: Mount
+    payloads: Payloads
+
+
+class Output(Protocol):
+    """Where a writer's packets or points go."""
+
+    def send(self, sent: Sequence[Sent], known_ns: int) -> None:
+        """More packets. All that leave before `known_ns` have come."""
+
+    def draw(self, points: PointCloud) -> None:
+        """More points."""
+
+    def finish(self, end_ns: int) -> None:
+        """Complete the output; the drive ends then."""
+
+
+class Writer:
+    """Writes what the rays of a drive hit to one or more outputs, from entering to leaving it.
+
+    An output is a capture (.pcap), a host to which each packet is sent at its time (udp://HOST or udp://HOST:PORT), or
+    a cloud (.ply, .pcd, .npz) in the frame of the rays. Files are written whole, or not at all if the block ends with
+    an error. With `noise`, the errors that the rig's `realism` has are added. Raises LidarcfgError.
+    """
+
+    def __init__(
+        self, drive: Drive, *outputs: str | Path, noise: bool = True, on_warning: Callable[[str], None] = print
+    ) -> None:
+        if not outputs:
+            raise LidarcfgError("no output; allowed: a .pcap, udp://HOST[:PORT], or a cloud")
+        self._drive = drive
+        self._codecs = []
+        self._written = [0] * len(drive.sensors)  # firings of each sensor
+        self._end_s = 0.0
+        self._begun = False
+        self._errors = [_errors(sensor, noise, on_warning) for sensor in drive.sensors]
+        self._outputs = [_output(drive, str(one), on_warning) for one in outputs]
+        self._packets = any(not isinstance(one, _Cloud) for one in self._outputs)
+        self._points = any(isinstance(one, _Cloud) for one in self._outputs)
+        if self._packets:
+            self._codecs = [codec(sensor.mount.sensor) for sensor in drive.sensors]
+        self._open = ExitStack()
+
+    def __enter__(self) -> "Writer":
+        for one in self._outputs:
+            self._open.enter_context(one)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                for one in self._outputs:
+                    one.finish(self._drive.start_ns + round(self._end_s * SECOND_NS))
+        except BaseException as late:
+            self._open.__exit__(type(late), late, late.__traceback__)
+            raise
+        self._open.__exit__(kind, error, trace)
+
+    def write(self, rays: RayBatch, ranges_m: Any, intensity: Any) -> None:
+        """Write what a batch of N rays hit, the batches of the drive in their order.
+
+        `ranges_m` is (N,), or (N, R) with up to as many returns as the rig's sensors report: those of the return mode,
+        as `Codec.encode` has them; NaN or inf: none. `intensity` of the same shape is 0 to 100 for diffuse targets, in
+        per cent, and above for retro-reflectors. Arrays are numpy's, or anything on the CPU with `__dlpack__` or
+        `__array_interface__`. Raises LidarcfgError.
+        """
+        range_m, bright = _returns(rays, ranges_m, intensity)
+        row = 0
+        sent = []
+        for one in rays.packets:
+            rows = slice(row, row := row + len(one.batch.firings.time_ns))
+            self._check_order(one)
+            seen_m, seen = self._reported(one, range_m[rows], bright[rows])
+            if self._packets and len(one.batch.sent_ns):
+                payloads = self._codecs[one.sensor.index].encode(one.sensor.mount, one.batch, seen_m, seen)
+                sent.append(Sent(2 * one.sensor.index, one.sensor.mount, payloads))
+            if self._points:
+                cloud = _points(self._drive.rig.mounts, one, rays, rows, seen_m, seen)
+                for output in self._outputs:
+                    output.draw(cloud)
+        begin_ns, end_ns = (round(at_s * SECOND_NS) for at_s in (rays.start_s, rays.end_s))
+        if self._packets:
+            sent += self._housekeeping(range(begin_ns, end_ns))
+            known_ns = min(
+                sensor.start_ns + sensor.packets(end_ns) * sensor.timing.pace(sensor.mount).period_ns
+                for sensor in self._drive.sensors
+            )
+            for output in self._outputs:
+                output.send(sent, known_ns // 1000 * 1000)
+        self._begun = True
+        self._end_s = rays.end_s
+
+    def _check_order(self, one: FiredPackets) -> None:
+        """Raises LidarcfgError unless these are the sensor's next packets."""
+        index = one.sensor.index
+        if one.sensor is not self._drive.sensors[index]:
+            raise LidarcfgError("the rays are of another drive")
+        if self._begun and one.first != self._written[index]:
+            raise LidarcfgError("the rays do not follow those before; write each batch of the drive once, in its order")
+        self._written[index] = one.first + len(one.batch.firings.time_ns)
+
+    def _reported(self, one: FiredPackets, range_m: Array, intensity: Bytes) -> tuple[Array, Bytes]:
+        """Ranges and intensities of returns (N, R) as a sensor's mode has them, which may be fewer or more."""
+        mount = one.sensor.mount
+        count = len(RETURN_TYPES[mount.return_mode])
+        if np.isfinite(range_m[:, count:]).any():
+            what = f"{range_m.shape[1]} returns of a ray of {mount.name}"
+            raise LidarcfgError(f"{what}; allowed: {count}, as its return mode is {mount.return_mode}")
+        range_m, intensity = range_m[:, :count], intensity[:, :count]
+        if range_m.shape[1] < count:
+            shape = len(range_m), count
+            range_m, intensity = np.broadcast_to(range_m, shape), np.broadcast_to(intensity, shape)
+        elif count == 2:  # a ray with one return has it twice
+            alone = ~np.isfinite(range_m[:, ::-1])
+            range_m = np.where(alone, range_m, range_m[:, ::-1])[:, ::-1]
+            intensity = np.where(alone, intensity, intensity[:, ::-1])[:, ::-1]
+        errors = self._errors[one.sensor.index]
+        if errors is None:
+            return range_m, intensity
+        found = Echoes(
+            range_m=np.array(range_m),
+            noise_m=np.zeros(range_m.shape),
+            reflectivity=np.array(intensity),
+            object=np.empty(range_m.shape, np.int32),
+            strongest_m=range_m[np.arange(len(range_m)), np.argmax(intensity, axis=1)],
+        )
+        errors.add(found, one.batch.firings.laser, one.first)
+        return found.range_m + found.noise_m, found.reflectivity
+
+    def _housekeeping(self, due_ns: range) -> Iterator[Sent]:
+        """The other packets of all sensors."""
+        for sensor, maker in zip(self._drive.sensors, self._codecs, strict=True):
+            drive = self._drive
+            for some in maker.housekeeping(sensor.mount, drive.trajectory, drive.origin, sensor.start_ns, due_ns):
+                if len(some.time_ns):
+                    yield Sent(2 * sensor.index + 1, sensor.mount, some)
+
+
+def _errors(sensor: SensorTimeline, noise: bool, on_warning: Callable[[str], None]) -> SensorErrors | None:
+    realism = sensor.mount.realism
+    if not noise or realism is None or realism.model_copy(update={"seed": 0}) == EXACT:
+        return None
+    if realism.divergence or realism.range_10_percent_m:
+        on_warning(f"{sensor.mount.name}: divergence and range_10_percent_m need our own scenes; ranges are the beam's")
+    return SensorErrors(sensor.index, sensor.mount)
+
+
+def _returns(rays: RayBatch, ranges_m: Any, intensity: Any) -> tuple[Array, Bytes]:
+    """Ranges (N, R), inf where there is none, and intensities (N, R). Raises LidarcfgError."""
+    count = len(rays.time_ns)
+    range_m = _array("ranges_m", ranges_m).astype(np.float64, copy=False)
+    bright = _array("intensity", intensity)
+    if range_m.shape[:1] != (count,) or range_m.ndim > 2 or (range_m.ndim == 2 and not 1 <= range_m.shape[1] <= 2):
+        raise LidarcfgError(f"ranges_m is of shape {range_m.shape}; allowed: ({count},), ({count}, 1) and ({count}, 2)")
+    if bright.shape != range_m.shape:
+        raise LidarcfgError(f"intensity is of shape {bright.shape}, not of that of ranges_m, {range_m.shape}")
+    if range_m.ndim == 1:
+        range_m, bright = range_m[:, None], bright[:, None]
+    wrong = range_m < 0
+    if wrong.any():
+        raise LidarcfgError(f"ranges_m has {range_m[wrong][0]:g} for ray {np.nonzero(wrong)[0][0]}; allowed: from 0 on")
+    if bright.dtype != np.uint8:
+        there = np.isfinite(range_m)
+        wrong = there & ~((bright >= 0) & (bright <= 255))
+        if wrong.any():
+            where = np.nonzero(wrong)[0][0]
+            raise LidarcfgError(f"intensity has {bright[wrong][0]:g} for ray {where}; allowed: 0 to 255")
+        bright = np.rint(np.where(there, bright, 0)).astype(np.uint8)
+    return np.fmin(range_m, np.inf), bright  # inf for NaN
+
+
+def _array(name: str, given: Any) -> np.ndarray[Any, Any]:
+    """An array of numbers. Raises LidarcfgError."""
+    try:
+        exported = hasattr(given, "__dlpack__") and not isinstance(given, np.ndarray)
+        made = np.from_dlpack(given) if exported else np.asarray(given)
+        if made.dtype.kind not in "fiu":
+            raise TypeError(f"its numbers are {made.dtype}")
+    except (TypeError, ValueError, BufferError, RuntimeError) as error:
+        raise LidarcfgError(f"{name} is no array of numbers on the CPU: {error}") from None
+    return made
+
+
+def _points(
+    mounts: Sequence[Mount], one: FiredPackets, rays: RayBatch, rows: slice, range_m: Array, intensity: Bytes
+) -> PointCloud:
+    """The points of a sensor's rays, in their frame."""
+    mount = one.sensor.mount
+    firing, which, kind = reported(mount, range_m, intensity)
+    along_m = range_m[firing, which, None] * rays.directions[rows][firing]
+    return PointCloud(
+        xyz=rays.origins_m[rows][firing] + along_m,
+        intensity=intensity[firing, which],
+        ring=mount.sensor.ring.astype(np.uint8)[one.batch.firings.laser[firing]],
+        time_ns=one.batch.firings.time_ns[firing],
+        sensor=np.full(len(firing), one.sensor.index, np.uint16),
+        sensor_names=tuple(mount.name for mount in mounts),
+        return_type=kind,
+    )
+
+
+def _output(drive: Drive, name: str, on_warning: Callable[[str], None]) -> "_Capture | _Host | _Cloud":
+    if name.startswith(UDP):
+        return _Host(name)
+    suffix = Path(name).suffix.lower()
+    if suffix == ".pcap":
+        return _Capture(drive, Path(name), on_warning)
+    if suffix in SUFFIXES:
+        return _Cloud(Path(name))
+    raise LidarcfgError(f"{name}: is no output; allowed: .pcap, {', '.join(SUFFIXES)}, {UDP}HOST[:PORT]")
+
+
+class _Capture(ExitStack):
+    """A capture, with the files that readers need and a manifest."""
+
+    def __init__(self, drive: Drive, path: Path, on_warning: Callable[[str], None]) -> None:
+        super().__init__()
+        self._drive = drive
+        self._path = path
+        self._on_warning = on_warning
+        self._waiting: list[tuple[int, int, bytes]] = []  # records that others may come before: time, stream
+
+    def __enter__(self) -> "_Capture":
+        self._file = self.enter_context(replacing(self._path, "wb"))
+        self._file.write(FILE_HEADER)
+        return self
+
+    def send(self, sent: Sequence[Sent], known_ns: int) -> None:
+        for one in sent:
+            made = ethernet_frames(one.mount.host, one.payloads)
+            times = made.time_ns.tolist()
+            self._waiting += zip(times, [one.stream] * len(times), made.records, strict=True)
+        self._waiting.sort(key=lambda record: record[:2])
+        ready = next((n for n, (at, *_) in enumerate(self._waiting) if at >= known_ns), len(self._waiting))
+        self._file.write(b"".join(record for *_, record in self._waiting[:ready]))
+        del self._waiting[:ready]
+
+    def draw(self, points: PointCloud) -> None:
+        """A capture has none."""
+
+    def finish(self, end_ns: int) -> None:
+        self.send((), end_ns + SECOND_NS)
+        save_sidecar_files(self._path, self._drive.rig.mounts)
+        duration_ns = end_ns - self._drive.start_ns
+        ManifestInputs.of_rig(self._drive, duration_ns, self._path, DriveInputs()).save(self._path, self._on_warning)
+
+
+class _Host(ExitStack):
+    """A host on the network, to which each packet is sent when its time has come, or later."""
+
+    def __init__(self, target: str) -> None:
+        super().__init__()
+        self._name, _, port = target.removeprefix(UDP).partition(":")
+        if port and not (port.isascii() and port.isdigit() and 1 <= int(port) <= 65535):
+            raise LidarcfgError(f"{target}: {port!r} is not a port, 1 to 65535")
+        self._port = int(port or 0)
+        self._receiver = receiver_address(self._name)
+        self._zero_s: float | None = None  # of the clock, when the drive's time was 0
+
+    def __enter__(self) -> "_Host":
+        self._senders = self.enter_context(Senders(self._receiver))
+        return self
+
+    def send(self, sent: Sequence[Sent], known_ns: int) -> None:
+        rows = [
+            (at_ns, one.stream, row, one) for one in sent for row, at_ns in enumerate(one.payloads.time_ns.tolist())
+        ]
+        for at_ns, _, row, one in sorted(rows, key=lambda some: some[:2]):
+            now_s = time.perf_counter()
+            if self._zero_s is None:
+                self._zero_s = now_s - at_ns / SECOND_NS
+            time.sleep(max(self._zero_s + at_ns / SECOND_NS - now_s, 0))
+            payloads = one.payloads
+            sender = self._senders.of(one.mount.host, payloads.header.source_port or payloads.port)
+            try:
+                sender.sendto(payloads.data[row].tobytes(), (self._receiver, self._port or payloads.port))
+            except OSError as error:
+                raise PacketError(f"{self._name}: {reason(error)}") from None
+
+    def draw(self, points: PointCloud) -> None:
+        """A host gets none."""
+
+    def finish(self, end_ns: int) -> None:
+        """All are sent."""
+
+
+class _Cloud(ExitStack):
+    """A file of points."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path = path
+        self._clouds: list[PointCloud] = []
+
+    def send(self, sent: Sequence[Sent], known_ns: int) -> None:
+        """A cloud has no packets."""
+
+    def draw(self, points: PointCloud) -> None:
+        self._clouds.append(points)
+
+    def finish(self, end_ns: int) -> None:
+        save_clouds(self._path, self._clouds)

@@ -1,0 +1,64 @@
+"""A drive, assembled from a rig, a scene, a motion and a vehicle, or from their files."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from lidarcfg.config.models import Given
+from lidarcfg.files import loaded
+from lidarcfg.geometry import Array
+from lidarcfg.sensors.rig import ReturnMode, Rig, load_rig
+from lidarcfg.simulate.drive import trajectory_of
+from lidarcfg.units import SECOND_NS, START_NS
+from lidarcfg.world.motion import Trajectory
+from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.vehicle import Vehicle, resolve_vehicle
+
+
+@dataclass(frozen=True)
+class SceneDrive:
+    """A rig on a vehicle that stands or drives in a scene, for a while."""
+
+    rig: Rig
+    scene: Scene
+    trajectory: Trajectory
+    vehicle: Vehicle | None
+    start_ns: int
+    duration_ns: int
+
+    @classmethod
+    def load(
+        cls,
+        rig: Rig | Given,
+        scene: Scene | Given,
+        duration_s: float,
+        *,
+        at: Array | Trajectory | None = None,
+        trajectory: str | Path | None = None,
+        vehicle: Path | None = None,
+        start_ns: int = START_NS,
+        return_mode: ReturnMode | None = None,
+    ) -> "SceneDrive":
+        """The drive of a rig in a scene, of files or of what is loaded from them.
+
+        The vehicle starts at `at`, T_world_vehicle (4, 4), by default the origin, and moves as the file `trajectory`
+        says; or `at` is its trajectory. It is that in the file `vehicle`, or the rig's, or none if that says `none`.
+        `return_mode` is for all sensors, instead of the rig's. Raises LidarcfgError.
+        """
+        mounted = loaded(rig, load_rig, Rig)
+        if return_mode:
+            mounts = tuple(replace(mount, return_mode=return_mode) for mount in mounted.mounts)
+            mounted = replace(mounted, mounts=mounts)
+        moving = trajectory_of(at, trajectory, start_ns)
+        return cls(
+            mounted,
+            loaded(scene, load_scene, Scene),
+            moving,
+            resolve_vehicle(mounted, vehicle),
+            start_ns,
+            round(duration_s * SECOND_NS),
+        )
+
+
+def object_names(scene: Scene, vehicle: Vehicle | None) -> tuple[str, ...]:
+    """The names of the objects in the ground truth: the scene's, then the vehicle's with `vehicle/` in front."""
+    return scene.names + (tuple(f"vehicle/{name}" for name in vehicle.scene.names) if vehicle else ())
