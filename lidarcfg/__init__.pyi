@@ -12,8 +12,8 @@ from .sensors.sensor import Sensor as Sensor
 from .sensors.sensor import load_sensor as load_sensor
 from .simulate.drive import Drive as Drive
 from .study.evaluation import evaluate as evaluate
+from .study.loading import load_study as load_study
 from .study.study import Study as Study
-from .study.study import load_study as load_study
 from .vsr.region import Region as Region
 from .vsr.subspaces import Subspaces as Subspaces
 from .world.scene import Scene as Scene

@@ -16,8 +16,10 @@ from lidarcfg.errors import LidarcfgError
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
 from lidarcfg.sensors.sensor import load_sensor
-from lidarcfg.study.evaluator import Evaluator
-from lidarcfg.study.study import StudyFile, load_study
+from lidarcfg.study.bounded_costs import BoundedCosts
+from lidarcfg.study.criterion import objective_of
+from lidarcfg.study.file import StudyFile
+from lidarcfg.study.loading import load_study
 from lidarcfg.vsr.cones import rig_lidars
 from lidarcfg.vsr.metric import vsr_m
 from lidarcfg.vsr.region import Region
@@ -111,16 +113,16 @@ def use_study(path):
     if math.prod((np.subtract(region.max_m, region.min_m) / region.cuboid_m).round()) > CUBOIDS_MAX:
         return
     study = load_study(path)
-    corners = study.poses(np.array([[0.0], [0.3], [1.0]]) * np.ones(int(study.free.sum())))
+    corners = study.space.poses(np.array([[0.0], [0.3], [1.0]]) * np.ones(study.space.dimensions))
     assert np.isfinite(corners).all()
-    assert (corners >= study.lower)[:, np.isnan(study.mirror)].all()
-    assert (corners <= study.upper)[:, np.isnan(study.mirror)].all()
-    assert np.isfinite(study.violation(corners)).all()
-    with Evaluator(study.region, [slot.lidar for slot in study.slots], threads=1) as evaluator:
-        cost = evaluator.costs(corners, np.zeros(3, int), corners[:1], np.full(3, np.inf))
+    assert (corners >= study.space.lower)[:, np.isnan(study.space.mirror)].all()
+    assert (corners <= study.space.upper)[:, np.isnan(study.space.mirror)].all()
+    assert np.isfinite(study.space.violation(corners)).all()
+    with BoundedCosts(study.region, [slot.lidar for slot in study.slots], threads=1) as bounded:
+        cost = bounded.costs(corners, np.zeros(3, int), corners[:1], np.full(3, np.inf))
     assert (cost > 0).all()
     assert np.isfinite(cost).all()
-    assert math.isfinite(study.cost(corners[1]))
+    assert math.isfinite(objective_of(study, corners[1]))
 
 
 def use_rig(path):

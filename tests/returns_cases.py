@@ -36,7 +36,7 @@ def mount(model, position_m, rpy_deg, rpm=600.0, fov_deg=None, settings=None):
 
 
 def lidars(mounts):
-    """The mounts as placement knows them."""
+    """The mounts as VSR knows them."""
     return rig_lidars(Rig("cases", tuple(mounts)))
 
 

@@ -1,6 +1,6 @@
 """Studies that tests write and read."""
 
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 
 
 def study_of(folder, text):

@@ -23,9 +23,11 @@ from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
 from lidarcfg.io.kitti import load_kitti
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Beams
-from lidarcfg.study import evaluator
-from lidarcfg.study.evaluator import Evaluator
-from lidarcfg.study.study import load_study
+from lidarcfg.study import bounded_costs
+from lidarcfg.study.bounded_costs import BoundedCosts
+from lidarcfg.study.criterion import Criterion
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
 from lidarcfg.vsr.cones import lidar
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import segment
@@ -155,10 +157,11 @@ def test_a_search_that_numbers_cuboids(tmp_path, monkeypatch):
     """For the largest sphere, as for detection, each thread has a number for every cuboid, and for every LiDAR lost."""
     (tmp_path / "study.yaml").write_text(SMALL_STUDY + "objective: {inscribed_radius: 1}\n")
     study = load_study(tmp_path / "study.yaml")
-    monkeypatch.setattr(evaluator, "check_grid", lambda *_: None)
+    monkeypatch.setattr(bounded_costs, "check_grid", lambda *_: None)
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 6 * 32 * 3 - 1.0)
     with pytest.raises(LidarcfgError, match="numbering 32 cuboids on 3 threads needs"):
-        Evaluator(study.region, study.lidars(study.lower), 3, criterion=study.criterion())
+        lidars = lidars_at(study.slots, study.space.lower)
+        BoundedCosts(study.region, lidars, 3, criterion=Criterion.of_study(study))
 
 
 def test_voxels_that_memory_does_not_hold(monkeypatch):

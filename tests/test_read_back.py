@@ -101,14 +101,14 @@ def assert_read_back(study, folder):
         assert again.robust == one.robust
         assert sensors_of(again) == sensors_of(one)
         for key in ("lower", "upper", "mirror"):
-            np.testing.assert_array_equal(getattr(again, key), getattr(one, key))
+            np.testing.assert_array_equal(getattr(again.space, key), getattr(one.space, key))
         np.testing.assert_array_equal(again.region.included, one.region.included)
         assert len(again.detection_targets) == len(one.detection_targets)
         for sought, known in zip(again.detection_targets, one.detection_targets, strict=True):
             assert np.array_equal(sought.places, known.places)
             assert sought.item.model_copy(update={"mesh": known.item.mesh}) == known.item
-        save_rig(one.rig(one.midpoint), path.with_name("rig.yaml"))
-        assert rigs_are_equal(load_rig(path.with_name("rig.yaml")), one.rig(one.midpoint))
+        save_rig(one.rig(one.space.midpoint), path.with_name("rig.yaml"))
+        assert rigs_are_equal(load_rig(path.with_name("rig.yaml")), one.rig(one.space.midpoint))
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)

@@ -23,9 +23,9 @@ from lidarcfg.sensors.rig import Rig
 from lidarcfg.solvers import SOLVERS
 from lidarcfg.solvers.bee_colony import BeeColony
 from lidarcfg.solvers.search import of_objectives
-from lidarcfg.study.evaluator import Evaluator
-from lidarcfg.study.objective import Criterion
-from lidarcfg.study.study import load_study
+from lidarcfg.study.bounded_costs import BoundedCosts
+from lidarcfg.study.criterion import Criterion
+from lidarcfg.study.loading import load_study
 from lidarcfg.study.terms.term import TermContext
 from lidarcfg.vsr.cones import Lidar, gaps_at
 from lidarcfg.vsr.metric import max_vsr, vsr_m
@@ -336,6 +336,16 @@ def test_what_is_no_cost_is_an_error(name, wrong):
             solver.tell(of_objectives(cost))
 
 
+class Pairs:
+    """Answers a search with the costs of one criterion."""
+
+    def __init__(self, bounded):
+        self.bounded = bounded
+
+    def costs(self, poses, source, source_poses, upper_bound, smoothing):
+        return of_objectives(self.bounded.costs(poses, source, source_poses, upper_bound[:, 1], smoothing))
+
+
 @pytest.mark.parametrize("objective", ["max_vsr: 1, inscribed_radius: 1", "inscribed_radius: 2"])
 def test_nan_from_an_objective_is_no_result(tmp_path, objective):
     class Broken(Criterion):
@@ -347,13 +357,13 @@ def test_nan_from_an_objective_is_no_result(tmp_path, objective):
     study = load_study(path)
     parts = TermContext(study.region, study.detection, (), None, None, None, ())
     broken = Broken(study.objective, parts)
-    run = SearchRun(study, BeeColony(int(study.free.sum()), 5, 100, 1))
+    run = SearchRun(study, BeeColony(study.space.dimensions, 5, 100, 1))
     lidars = [slot.lidar for slot in study.slots]
     with (
-        Evaluator(study.region, lidars, threads=1, criterion=broken) as evaluator,
+        BoundedCosts(study.region, lidars, threads=1, criterion=broken) as bounded,
         pytest.raises(LidarcfgError, match="is nan; allowed: numbers, and inf"),
     ):
-        run.step(evaluator, Budget(5, None, math.inf, math.inf))
+        run.step(Pairs(bounded), Budget(5, None, math.inf, math.inf))
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -386,16 +396,16 @@ sensors: [{{elevation_deg: [-5, 5], min: {{position_m: [3, 2, {low}], rpy_rad: [
 solver: {{method: {method}, evaluations: 60{", bees: 5" if method == "abc" else ""}}}
 """)
     study = load_study(path)
-    assert study.free.sum() == 1
+    assert study.space.free.sum() == 1
     found = optimize(study, threads=1)
     assert found.rig.mounts[0].position_m in ((3, 2, low), (3, 2, high))
-    assert set(study.poses(np.linspace(0, 1, 101)[:, None])[:, 0, 2]) == {low, high}
+    assert set(study.space.poses(np.linspace(0, 1, 101)[:, None])[:, 0, 2]) == {low, high}
 
 
 def test_equal_bounds_leave_nothing_to_do(tmp_path):
     study = study_at(tmp_path, 0, 0)
     with pytest.raises(ConfigError, match="every bound is equal"):
-        optimize(replace(study, upper=study.lower))
+        optimize(replace(study, slots=tuple(replace(slot, upper=slot.lower) for slot in study.slots)))
 
 
 # Meshes

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 
 pytestmark = pytest.mark.slow
 

@@ -27,7 +27,8 @@ from lidarcfg.search.misses_search import MissesRun
 from lidarcfg.search.optimize import optimize, search_run
 from lidarcfg.search.run import Budget
 from lidarcfg.sensors.rig import load_rig, save_rig
-from lidarcfg.study.study import Study, load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import Study, with_solver
 from lidarcfg.vsr.cones import poses, rig_lidars
 from lidarcfg.world.meshes import read_mesh
 
@@ -120,11 +121,11 @@ def searching(study: Study) -> list[list[str]]:
 def moved(study: Study) -> list[np.ndarray]:
     """The poses of rigs, each with one sensor elsewhere than in the one before."""
     rng = np.random.default_rng(1)
-    poses = study.midpoint.copy()
+    poses = study.space.midpoint.copy()
     found = []
     for number in range(MOVES):
         one = number % len(poses)
-        poses[one] = study.poses(rng.random((1, int(study.free.sum()))))[0, one]
+        poses[one] = study.space.poses(rng.random((1, study.space.dimensions)))[0, one]
         found.append(poses.copy())
     return found
 
@@ -135,7 +136,7 @@ def missing(study: Study) -> list[tuple[str, str]]:
     assert misses
     rows = []
     known = misses.known(SEARCH_PLACES)
-    number = known.numbers(study.rig(study.midpoint).mounts)
+    number = known.numbers(study.rig(study.space.midpoint).mounts)
     rigs = [RigAt(number, rotations(one[:, 3:]), np.ascontiguousarray(one[:, :3])) for one in moved(study)]
     begun = time.process_time()
     for rig in rigs:
@@ -154,7 +155,7 @@ def missing(study: Study) -> list[tuple[str, str]]:
     rows.append((f"a search's, which ends at {run.places} places", f"{trials / taken:,.0f}"))
     drawn = seconds(lambda: [one.places(FRESH_PLACES, FRESH) for one in misses.objects])
     rows.append((f"drawing {FRESH_PLACES:,} places of each object (s)", f"{drawn:.2f}"))
-    mounts = study.rig(study.midpoint).mounts
+    mounts = study.rig(study.space.midpoint).mounts
     standing = misses.fresh.objects
     counted = seconds(lambda: misses.found_at(KnownReturns(standing, misses.obstacles), mounts))
     rows.append(("a rig's misses there (s)", f"{counted:.2f}"))
@@ -169,7 +170,7 @@ def judged(study: Study) -> float:
     bodies = judge.scene_of(np.asarray(body.vertices), np.asarray(body.triangles))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.yaml"
-        save_rig(study.rig(study.midpoint), path)
+        save_rig(study.rig(study.space.midpoint), path)
         rays = [judge.rays_of(one, path.parent) for one in judge.yaml.safe_load(path.read_text())["sensors"]]
     clear_m = [judge.hits_m(bodies, one.start_m, one.direction) for one in rays]
     things = judge.things(ROOT / "data/objects")

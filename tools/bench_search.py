@@ -29,7 +29,8 @@ from lidarcfg.files import replacing
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.search.optimize import optimize
 from lidarcfg.solvers import SOLVERS
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 
 RUNS = ROOT / "data/reference/search.jsonl"
 KNOWN = ROOT / "data/reference/best_known.json"
@@ -50,7 +51,7 @@ def code() -> str:
     """
     package = ROOT / "lidarcfg"
     said = hashlib.sha256()
-    for file in (*sorted(package.glob("solvers/*.py")), package / "study/slots.py", package / "search/run.py"):
+    for file in (*sorted(package.glob("solvers/*.py")), package / "study/search_space.py", package / "search/run.py"):
         tree = ast.parse(file.read_bytes())
         for node in ast.walk(tree):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node):

@@ -20,7 +20,9 @@ from lidarcfg.report.drawings import draw_rig
 from lidarcfg.report.plots import COLOURS, draw_convergence, new_figure, save_figure
 from lidarcfg.search.optimize import optimize
 from lidarcfg.search.run import Placement
-from lidarcfg.study.study import Study, load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
+from lidarcfg.study.study import Study, with_solver
 from lidarcfg.vsr.detection import DetectionObject, detection
 from lidarcfg.vsr.metric import vsr_m
 from lidarcfg.vsr.subspaces import segment
@@ -53,8 +55,8 @@ def vsr_and_detection(rigs: int) -> np.ndarray:
         lidars = LIDARS[n % 5]
         beams = BEAMS[n // 5 % 3]
         study = paper_study(lidars, beams, 1)
-        poses = study.poses(rng.random((1, int(study.free.sum()))))[0]
-        spaces = segment(study.region, study.lidars(poses))
+        poses = study.space.poses(rng.random((1, study.space.dimensions)))[0]
+        spaces = segment(study.region, lidars_at(study.slots, poses))
         rows.append((vsr_m(spaces).max(), detection(spaces, SMALL).rate))
     return np.array(rows)
 

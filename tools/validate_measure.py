@@ -32,7 +32,8 @@ from lidarcfg.returns.scanners import Poses, Scanner, compiled
 from lidarcfg.returns.target import Target
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.study.study import Study, load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import Study, with_solver
 from lidarcfg.vsr.cones import rig_lidars
 from lidarcfg.vsr.detection import DetectionObject, detection_by_distance, from_point
 from lidarcfg.vsr.metric import vsr_m
@@ -72,7 +73,7 @@ class Rigs:
 
 def drawn_places(study: Study, size_m: Array, count: int) -> Iterator[Array]:
     """(count, 4) places and headings of an object in each ring, clear of the body and of what is excluded."""
-    center = study.reference_m
+    center = study.space.reference_m
     around = float(np.hypot(*size_m[:2])) / 2
     region = study.region
     low, high = region.min_m[:2] + around, region.max_m[:2] - around
@@ -112,8 +113,8 @@ def drawn_rigs(study: Study, count: int) -> tuple[list[Rig], list[bool]]:
     rigs: list[Rig] = []
     searched = round(SEARCHED * count)
     while len(rigs) < count - searched:
-        poses = study.poses(rng.random((1, int(study.free.sum()))))
-        if study.violation(poses)[0] == 0.0 and not any(within(study, pose) for pose in poses[0]):
+        poses = study.space.poses(rng.random((1, study.space.dimensions)))
+        if study.space.violation(poses)[0] == 0.0 and not any(within(study, pose) for pose in poses[0]):
             rigs.append(study.rig(poses[0]))
     for seed, budget in enumerate(np.geomspace(*BUDGETS, searched).round().astype(int).tolist(), 1):
         task = replace(study, visibility=None) if seed % 2 else study
@@ -144,7 +145,7 @@ def paper_undetected(study: Study, paper: Subspaces, name: str, size_m: Array) -
     """(rings,) 1 − the paper's detection rate of an object's bounding box on the ground; NaN without a place."""
     x, y, z = size_m.tolist()
     item = DetectionObject(name=name, size_m=(x, y, z), on_ground=True)
-    out: Array = 1 - detection_by_distance(paper, item, from_point(study.reference_m), EDGES_M).rate
+    out: Array = 1 - detection_by_distance(paper, item, from_point(study.space.reference_m), EDGES_M).rate
     return out
 
 

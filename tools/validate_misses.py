@@ -25,7 +25,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
 from lidarcfg.search.plain_rigs import plain_points
 from lidarcfg.sensors.rig import Rig, save_rig
-from lidarcfg.study.study import Study, load_study
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import Study
 
 PAGE = ROOT / "docs/evidence/validation.md"
 PLOT = PAGE.parent / "validation/learned-judge.png"
@@ -110,13 +111,13 @@ def ten_rigs() -> Iterator[tuple[str, str, Study, Rig]]:
     for name, count in STUDIES.items():
         study = vehicle(name)
         rng = np.random.default_rng(1)
-        yield name, "midpoint", study, study.rig(study.midpoint)
+        yield name, "midpoint", study, study.rig(study.space.midpoint)
         for number in range(count):
-            poses = study.poses(rng.random((1, int(study.free.sum()))))
-            while study.violation(poses)[0] > 0:
-                poses = study.poses(rng.random((1, int(study.free.sum()))))
+            poses = study.space.poses(rng.random((1, study.space.dimensions)))
+            while study.space.violation(poses)[0] > 0:
+                poses = study.space.poses(rng.random((1, study.space.dimensions)))
             yield name, f"random {number + 1}", study, study.rig(poses[0])
-        yield name, "upright", study, study.rig(study.poses(plain_points(study)[1:2])[0])
+        yield name, "upright", study, study.rig(study.space.poses(plain_points(study)[1:2])[0])
 
 
 def judged(vehicle: str, rig: Rig, folder: Path | None, places: int, seed: int = 1) -> tuple[float, float]:

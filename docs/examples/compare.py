@@ -16,7 +16,7 @@ from lidarcfg.report.inputs import report_inputs
 # Two sensors on the roof; and the study's four, each at the midpoint of its bounds.
 study = lidarcfg.load_study("data/studies/sedan.yaml")
 roof = lidarcfg.load_rig("data/rigs/roof.yaml")
-four = study.rig(study.poses(np.full((1, study.free.sum()), 0.5))[0])
+four = study.rig(study.space.poses(np.full((1, study.space.free.sum()), 0.5))[0])
 found = {name: lidarcfg.evaluate(study, rig) for name, rig in (("roof", roof), ("four", four))}
 
 # %% Side by side

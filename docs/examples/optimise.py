@@ -13,7 +13,7 @@ from lidarcfg.study.study import with_solver
 # Four VLP-16 on a saloon car: two on the roof, one in each bumper, each free within bounds. What is not free to move
 # has equal bounds; the rest is what the search is about.
 study = lidarcfg.load_study("data/studies/sedan.yaml")
-print(f"{len(study.slots)} sensors, {study.free.sum()} free coordinates, {study.region.included.sum():,} cuboids")
+print(f"{len(study.slots)} sensors, {study.space.free.sum()} free coordinates, {study.region.included.sum():,} cuboids")
 
 # %% A short search
 # The study asks for 20,000 evaluations; 400 will do to see how it goes. A seed makes it repeat, on any number of

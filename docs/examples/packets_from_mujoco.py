@@ -10,6 +10,7 @@ import numpy as np
 
 import lidarcfg
 
+# %% A room in MuJoCo, and three sensors on a robot
 ROOM = """<mujoco><option timestep="0.01"/><worldbody>
   <geom type="plane" size="20 20 1"/> <geom type="box" size="9 .1 2" pos="0 6 2"/>
   <geom type="box" size=".1 6 2" pos="8 0 2"/>

@@ -34,5 +34,7 @@ with lidarcfg.Writer(drive, path, "out/examples/open3d.ply") as writer:
 cloud = lidarcfg.decode(path, deskew=True)
 ball = cloud.xyz[cloud.intensity == 80] - [8, 2, 1.5]
 radius_m = np.linalg.norm(ball, axis=1)
-print(f"{path}: {len(cloud.xyz):,} points; the ball's {len(ball):,} are {np.median(radius_m):.3f} m from its centre")
+print(f"{path}: {len(cloud.xyz):,} points")
+print(f"on the ball {len(ball):,}, at {np.median(radius_m):.3f} m from its centre; its radius is 1.5 m")
+print(f"on the floor, at most {abs(cloud.xyz[cloud.intensity == 20, 2]).max():.3f} m from it")
 assert abs(np.median(radius_m) - 1.5) < 0.02

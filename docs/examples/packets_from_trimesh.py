@@ -33,5 +33,7 @@ with lidarcfg.Writer(drive, "out/examples/trimesh.pcap", "udp://127.0.0.1") as w
 cloud = lidarcfg.decode("out/examples/trimesh.pcap")
 x, y, z = cloud.xyz.T
 off_m = np.min([15 - abs(x), 10 - abs(y), z, 8 - z, abs(np.hypot(x - 5, y - 3) - 0.4)], axis=0)
-print(f"{len(cloud.xyz):,} points, at most {abs(off_m).max() * 1000:.1f} mm from walls, floor, ceiling and pillar")
+for number, name in enumerate(cloud.sensor_names):
+    print(f"{name}: {(cloud.sensor == number).sum():,} points")
+print(f"at most {abs(off_m).max() * 1000:.1f} mm from walls, floor, ceiling and pillar")
 assert abs(off_m).max() < 0.01

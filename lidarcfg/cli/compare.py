@@ -47,7 +47,7 @@ def compare(
     from lidarcfg.report.rig_report import Commands
     from lidarcfg.sensors.rig import load_rig
     from lidarcfg.study.evaluation import evaluate as evaluation
-    from lidarcfg.study.study import load_study
+    from lidarcfg.study.loading import load_study
 
     check_count(len(rigs))
     loaded = load_study(study)

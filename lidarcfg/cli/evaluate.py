@@ -65,7 +65,7 @@ def evaluate(
         from lidarcfg.sensors.rig import load_rig
         from lidarcfg.study.evaluation import evaluate as evaluation
         from lidarcfg.study.evaluation import robustness
-        from lidarcfg.study.study import load_study
+        from lidarcfg.study.loading import load_study
 
         loaded = load_study(study)
         mounted = load_rig(rig)

@@ -58,7 +58,8 @@ class Options:
 
     def load(self) -> "Study":
         """The study with these budgets, seed and solver. Raises ConfigError."""
-        from lidarcfg.study.study import load_study, with_solver
+        from lidarcfg.study.loading import load_study
+        from lidarcfg.study.study import with_solver
 
         budget = {"cycles": self.cycles, "evaluations": self.evaluations, "seconds": self.seconds}
         return with_solver(load_study(self.study), seed=self.seed, method=self.solver, **budget)

@@ -54,7 +54,7 @@ def verify(
         from lidarcfg.requirements.verify import Verifier
         from lidarcfg.sensors.rig import load_rig
         from lidarcfg.study.checks import requirement_warnings
-        from lidarcfg.study.study import load_study
+        from lidarcfg.study.loading import load_study
 
         loaded = load_study(study)
         if loaded.requirements is None:

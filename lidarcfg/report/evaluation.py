@@ -11,13 +11,13 @@ from lidarcfg.report.inputs import ReportInputs
 from lidarcfg.report.table import COUNT, Cell, Column, Row, Table, named
 from lidarcfg.report.text import summarize
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.detection import GapFit
 from lidarcfg.study.evaluation import OFFSETS, STEP_DEG, STEP_M, DegradedRig, Evaluation, Robustness, Worst
 from lidarcfg.study.file import COORDINATES
 from lidarcfg.study.study import Study
+from lidarcfg.study.zones import ZoneVsr
 from lidarcfg.vsr.cones import rig_lidars
-from lidarcfg.vsr.detection import GapFit
 from lidarcfg.vsr.subspaces import BLIND
-from lidarcfg.vsr.zones import ZoneVsr
 
 WHOLE = "none"
 UNITS = f"{100 * STEP_M:g} cm", f"{STEP_DEG:g}°"
@@ -27,7 +27,8 @@ FAR = f"{100 * STEP_M * OFFSETS[-1]:g} cm", f"{STEP_DEG * OFFSETS[-1]:g}°"
 def bounds_table(study: Study) -> Table:
     """The range of each coordinate of each sensor."""
     rows: list[Row] = []
-    for slot, low, high, mirror in zip(study.slots, study.lower, study.upper, study.mirror, strict=True):
+    space = study.space
+    for slot, low, high, mirror in zip(study.slots, space.lower, space.upper, space.mirror, strict=True):
         if not math.isnan(mirror):
             rows.append([named(slot.name), slot.sensor.name, f"image in y = {mirror:g} m", *[None] * 5])
             continue

@@ -14,11 +14,13 @@ from lidarcfg.geometry import Array
 from lidarcfg.requirements.verify import Verification, Verifier
 from lidarcfg.returns.post_visibility import PostPlaces, PostVisibility, post_visibility
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.detection import GapFit, distances_to, gap_fit
 from lidarcfg.study.evaluation import Evaluation, robustness
+from lidarcfg.study.extrapolation import extrapolate
+from lidarcfg.study.mounting import lidars_at
 from lidarcfg.study.study import Study
 from lidarcfg.vsr.cones import rig_lidars
-from lidarcfg.vsr.detection import DetectionObject, GapFit, Rings, detection_by_distance, gap_fit
-from lidarcfg.vsr.extrapolation import extrapolate
+from lidarcfg.vsr.detection import DetectionObject, Rings, detection_by_distance
 from lidarcfg.vsr.metric import max_vsr, volume_m3
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import BLIND, Subspaces
@@ -134,7 +136,7 @@ def report_inputs(
     if found.extrapolated is None and cheap and not any(mount.sensor.scan_pattern for mount in rig.mounts):
         found = replace(found, extrapolated=extrapolate(study.region, rig_lidars(rig), LOOSE, study.visibility))
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
-        midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
+        midpoint_max_vsr_m = max_vsr(study.region, lidars_at(study.slots, study.space.midpoint), study.visibility)
     found = replace(found, robustness=robustness(study, rig))
     verified = None
     if study.requirements and found.verdict:
@@ -142,9 +144,9 @@ def report_inputs(
         verified = verifier.verification(rig.mounts, found.verdict)
     found = replace(found, posts=_posts(study, rig))
     subspaces = found.subspaces
-    vehicle = study.reference_m
+    vehicle = study.space.reference_m
     edges = ring_edges_m(study.region, study.body.to_points_m if study.body else _from(vehicle))
-    distances = {item.name: study.distances(item) for item in study.detection}
+    distances = {item.name: distances_to(item, study) for item in study.detection}
     return ReportInputs(
         evaluation=found,
         midpoint_max_vsr_m=midpoint_max_vsr_m,

@@ -20,8 +20,8 @@ from lidarcfg.report.verdict import verdict_text
 from lidarcfg.returns.post_visibility import PostVisibility
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.evaluation import Evaluation, Robustness
+from lidarcfg.study.extrapolation import Extrapolated
 from lidarcfg.study.study import Study
-from lidarcfg.vsr.extrapolation import Extrapolated
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ def _midpoint(study: Study, told: Believed | None) -> SeenBy | None:
     """The rig at the midpoint of the bounds; None where its sensors are yet to be chosen, or lack facts."""
     if study.misses is None or study.to_choose:
         return None
-    rig = study.rig(study.midpoint)
+    rig = study.rig(study.space.midpoint)
     if told:
         return SeenBy(MIDPOINT, rig, told.midpoint)
     try:

@@ -47,9 +47,10 @@ Bounds = dict[str, tuple[Array, Array]]  # by sensor: least and greatest positio
 
 def draw_mounts(study: Study, rig: Rig) -> Markup:
     """The sensors with their axes from top, side and front; the study's bounds dashed."""
+    space = study.space
     bounds: Bounds = {
         slot.name: (low[:3], high[:3])
-        for slot, low, high, mirror in zip(study.slots, study.lower, study.upper, study.mirror, strict=True)
+        for slot, low, high, mirror in zip(study.slots, space.lower, space.upper, space.mirror, strict=True)
         if np.isnan(mirror)
     }
     lidars = rig_lidars(rig)

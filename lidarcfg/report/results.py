@@ -27,6 +27,7 @@ from lidarcfg.search.run import Believed, Placement
 from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
 from lidarcfg.study.evaluation import OFFSETS, STEP_DEG, STEP_M, Evaluation, Robustness
 from lidarcfg.study.file import COORDINATES
+from lidarcfg.study.objective_costs import rigs_of_trial, segments_of_trial
 from lidarcfg.study.return_counts import STEP_M as STEP_M_OF_RETURNS
 from lidarcfg.study.study import Study
 from lidarcfg.vsr.detection import DetectionObject
@@ -105,8 +106,8 @@ def _posts(posts: PostVisibility) -> dict[str, Any]:
 
 def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> dict[str, Any]:
     """The values of result.json that `optimize` writes."""
-    rigs = found.evaluated * study.rigs[0]
-    cut = study.objective_cuts
+    rigs = found.evaluated * rigs_of_trial(study)
+    cut = study.objective.cuts(study.detection)
     return evaluation_dict(study, found.rig, evaluation) | {
         "objective": found.objective if math.isfinite(found.objective) else None,
         "at_bounds": list(found.at_bounds),
@@ -124,7 +125,7 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
             "rigs": rigs,
             "full_evaluations": rigs - found.full_evaluations,
             "cuboids": max(cut * rigs * study.region.included.size - found.cuboids, 0),
-            "segments": max(cut * found.evaluated * study.segments - found.segments, 0),
+            "segments": max(cut * found.evaluated * segments_of_trial(study) - found.segments, 0),
         },
     }
 

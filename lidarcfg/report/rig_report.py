@@ -52,6 +52,7 @@ from lidarcfg.report.verification import requirement_parts, verdict_of
 from lidarcfg.search.run import Placement, at_bounds
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 from lidarcfg.study.evaluation import Worst
+from lidarcfg.study.objective_costs import rigs_of_trial
 from lidarcfg.study.study import Study
 from lidarcfg.vsr.subspaces import BLIND
 
@@ -269,11 +270,11 @@ def search_facts(study: Study, placement: Placement) -> FactRows:
 
 def skipped_facts(study: Study, skipped: Mapping[str, int]) -> FactRows:
     """How many rigs a search settled without computing all of their subspaces; none where it computed none."""
-    if not study.objective_cuts:
+    if not study.objective.cuts(study.detection):
         return []
     rigs = skipped["rigs"]
     settled = skipped["full_evaluations"]
-    what = "rigs" if study.rigs[0] > 1 else "trials"
+    what = "rigs" if rigs_of_trial(study) > 1 else "trials"
     return [(f"{what} settled without a full evaluation", f"{settled:,} of {rigs:,} ({settled / max(rigs, 1):.1%})")]
 
 

@@ -61,7 +61,8 @@ def load_log(study: Study, folder: Path) -> SearchLog:
         arrays = read_arrays(path, ARRAYS)
     except CloudError as error:
         raise ConfigError(str(error)) from None
-    kinds = {key: ("texts" if one.dtype.kind == "U" else one.dtype, one.ndim) for key, one in arrays.items()}
+    dtypes = {key: "texts" if np.issubdtype(one.dtype, np.str_) else one.dtype for key, one in arrays.items()}
+    kinds = {key: (dtypes[key], one.ndim) for key, one in arrays.items()}
     try:
         _check(kinds == ARRAYS)
         found = _LogReader(arrays).log()

@@ -20,7 +20,7 @@ from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.solvers.solver import BUDGETS
 from lidarcfg.study.checks import rig_warnings, study_warnings
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.world.motion import load_path
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_vehicle
@@ -48,7 +48,7 @@ def summary(path: str | Path) -> Summary:
 
 def _study(path: Path) -> tuple[str, Iterable[str]]:
     study = load_study(path)
-    free = int(study.free.sum())
+    free = study.space.dimensions
     solver = study.solver
     limits = {key: getattr(solver, key) for key in sorted(BUDGETS)}
     budget = ", ".join(f"{limit:,} {key}".replace(".0 ", " ") for key, limit in limits.items() if limit is not None)

@@ -148,7 +148,7 @@ class CheapestRun(Chooser):
     def _resume(self, log: SearchLog) -> None:
         for number, record in log.records.items():
             if record.x is not None and (len(record.x), len(record.shortfalls)) != (
-                self.combinations[number].study.free.sum(),
+                self.combinations[number].study.space.free.sum(),
                 len(self._names),
             ):
                 raise ConfigError(f"{self.study.name}: the log is that of another study")
@@ -401,7 +401,8 @@ class CheapestRun(Chooser):
         assert record.x is not None
         if record.verdict is None:  # of one that misses requirements, or was resumed
             study = combination.study
-            record = replace(record, verdict=self._verifier.verify(study.rig(study.poses(record.x[None])[0]).mounts))
+            rig = study.rig(study.space.poses(record.x[None])[0])
+            record = replace(record, verdict=self._verifier.verify(rig.mounts))
         seconds = time.perf_counter() - self._began
         return Cheapest(
             combination=combination,
@@ -472,7 +473,7 @@ def searched(search: CombinationSearch, threads: int | None = 1, verifier: Verif
         while not (run.is_over(budget) or run.is_verified or (run.history and not search.evaluations)):
             run.step(evaluator, budget)
         if run.best_cost.shortfall < INFEASIBLE:  # else the constraints are not kept by any rig that was tried
-            shortfalls = np.array(evaluator.shortfalls(study.poses(run.best_x[None])[0]))
+            shortfalls = np.array(evaluator.shortfalls(study.space.poses(run.best_x[None])[0]))
             screening = Screening(study.requirements)
             screening.add_places(run.more_places)
             seen = screening.judge(study, run.best_x[None])

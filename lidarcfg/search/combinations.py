@@ -15,7 +15,7 @@ from typing import Any
 from lidarcfg.config.models import NAME_MAX
 from lidarcfg.errors import ConfigError
 from lidarcfg.requirements.allowed_rigs import total_price
-from lidarcfg.study.slots import Choice, Slot, slot_name
+from lidarcfg.study.mounting import Choice, Slot, slot_name
 from lidarcfg.study.study import Study
 
 FOLDER_MAX = 80  # characters of a combination's name, which becomes a folder's
@@ -130,14 +130,16 @@ class Combination:
                     surface = choice.surface.image if choice.surface and number % group.together else choice.surface
                     given = group.values.get("azimuth_fov_deg")
                     fov_deg = choice.sensor.field_of_view_deg(tuple(given) if given else None)
-                    slots.append(Slot(name, choice.sensor, model, of.range_m, fov_deg, surface))
+                    slot = replace(of, name=name, sensor=choice.sensor, model=model, choices=())
+                    slots.append(replace(slot, azimuth_fov_deg=fov_deg, surface=surface))
                     numbers.append(place + number)
                 place += count
         _check_names(slots, parent.name)
         used = {values["model"] for values in files}
         named = {model: each for model, each in parent.file["prices"].items() if model in used}
         file = parent.file | {"sensors": files, "prices": named}
-        return replace(parent.chosen(numbers, slots, file), name=self.name)
+        asked = parent.requirements and parent.requirements.of_slots(numbers)
+        return replace(parent, name=self.name, slots=tuple(slots), requirements=asked, file=file)
 
 
 def _check_names(slots: Sequence[Slot], study: str) -> None:
@@ -191,7 +193,7 @@ def distinct_combinations(study: Study) -> list[Combination]:
 def _place_of(study: Study, group: Group) -> object:
     """All that a group's file says but its name; its bounds in radians, whatever unit they are given in."""
     values = {key: value for key, value in group.values.items() if key not in ("name", "min", "max")}
-    return values, study.lower[group.first].tolist(), study.upper[group.first].tolist()
+    return values, study.space.lower[group.first].tolist(), study.space.upper[group.first].tolist()
 
 
 def _groups(study: Study) -> list[Group]:

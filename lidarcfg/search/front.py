@@ -14,7 +14,6 @@ search ends where an uninterrupted one does.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +26,7 @@ from lidarcfg.search.chooser import Chooser
 from lidarcfg.search.combinations import Combination, combinations
 from lidarcfg.search.log import Log, Record, SearchLog
 from lidarcfg.search.plain_rigs import plain_points
-from lidarcfg.search.run import Budget, Cycle, Placement, SearchRun, TrialEvaluator
+from lidarcfg.search.run import Budget, Cycle, Placement, SearchRun
 from lidarcfg.search.seeded import SeededSearch
 from lidarcfg.search.start_rigs import points_by_combination
 from lidarcfg.search.transfer import Example, transferred
@@ -35,8 +34,9 @@ from lidarcfg.search.workers import Job
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.solvers.cma_es import WarmStart
 from lidarcfg.solvers.search import NO_COST, FixedPoint, Search
+from lidarcfg.study.criterion import objective_of
+from lidarcfg.study.evaluator import Evaluator
 from lidarcfg.study.study import Study
-from lidarcfg.study.study_evaluator import StudyEvaluator
 
 PROGRESS = 0.4
 NEGLECT = 4.0
@@ -136,17 +136,15 @@ def front(
 class FrontSearch(SearchRun):
     """A search of one combination. Misses are counted at as many places as those of all others."""
 
-    def _evaluator(
-        self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
-    ) -> AbstractContextManager[TrialEvaluator]:
-        return StudyEvaluator(self.study, threads, skip, on_evaluations, FRONT_PLACES)
+    def _evaluator(self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None) -> Evaluator:
+        return Evaluator(self.study, threads, skip, on_evaluations, FRONT_PLACES)
 
     def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
         """As SearchRun; misses are those at fresh places."""
         found = super().placement(interrupted, verdict)
         if self.study.objective.misses is None:
             return found
-        return replace(found, objective=self.study.cost(self.study.poses(self.best_x[None])[0]))
+        return replace(found, objective=objective_of(self.study, self.study.space.poses(self.best_x[None])[0]))
 
 
 class CandidateSearch:
@@ -159,10 +157,10 @@ class CandidateSearch:
         points = logs[0].points if logs else None
         if points is None and study.objective.misses:
             points = plain_points(study)
-        if not study.free.any():
+        if not study.space.free.any():
             search: Search = FixedPoint()
         elif points is None:
-            search = study.solver.begin(study.coordinates)
+            search = study.solver.begin(study.space.coordinates)
         else:
             search = SeededSearch(study, points)
         self.runs = [self._run(search)]
@@ -204,7 +202,7 @@ class CandidateSearch:
     @property
     def is_done(self) -> bool:
         """Whether nothing is left to try."""
-        return self.evaluations > 0 and not self.combination.study.free.any()
+        return self.evaluations > 0 and not self.combination.study.space.free.any()
 
     @property
     def should_transfer(self) -> bool:

@@ -11,7 +11,6 @@ no search has seen. If a plain one is better, it is the result.
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import replace
 
 import numpy as np
@@ -21,11 +20,12 @@ from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.returns.known import KnownReturns
 from lidarcfg.returns.misses import FRESH_PLACES, SEARCH_PLACES, MissesFound
 from lidarcfg.search.log import Log
-from lidarcfg.search.run import Believed, Budget, Compared, Placement, SearchRun, TrialEvaluator
+from lidarcfg.search.run import Believed, Budget, Compared, Placement, SearchRun
 from lidarcfg.search.seeded import STARTS, SeededSearch
 from lidarcfg.solvers.search import NO_COST, FixedPoint, Trials, cost_of, unbounded
+from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.study.objective_costs import ObjectiveCosts
 from lidarcfg.study.study import Study
-from lidarcfg.study.study_evaluator import StudyEvaluator
 
 DOUBLED_EVERY = 30  # evaluations a dimension, until it is asked again whether places tell the best rigs apart
 CHOSEN_AT = 1024  # places of each object, at least, by which the best of the last rigs is chosen
@@ -39,10 +39,10 @@ class MissesRun(SearchRun):
 
     def __init__(self, study: Study, log: Log) -> None:
         """It begins with the points of the log, or without any with the midpoint."""
-        points = np.full((1, int(study.free.sum())), 0.5) if log.points is None else log.points
+        points = np.full((1, study.space.dimensions), 0.5) if log.points is None else log.points
         self._first_points = points
         self._given = points[: log.given]  # the rigs to start with
-        super().__init__(study, SeededSearch(study, points) if study.free.any() else FixedPoint(), log)
+        super().__init__(study, SeededSearch(study, points) if study.space.free.any() else FixedPoint(), log)
         self._restarts = 0
         self._cycles_before = 0  # of searches that were given up
         self.places = SEARCH_PLACES  # of each object, at which misses are counted
@@ -57,11 +57,9 @@ class MissesRun(SearchRun):
         """Cycles so far."""
         return self._cycles_before + super().cycles
 
-    def _evaluator(
-        self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
-    ) -> AbstractContextManager[TrialEvaluator]:
+    def _evaluator(self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None) -> Evaluator:
         self._find_midpoint()
-        return StudyEvaluator(self.study, threads, skip, on_evaluations, self.places)
+        return Evaluator(self.study, threads, skip, on_evaluations, self.places)
 
     def _find_midpoint(self) -> None:
         """Count what the rig at the midpoint misses, which says how long that takes at fresh places."""
@@ -69,7 +67,7 @@ class MissesRun(SearchRun):
         if self._midpoint is None and study.objective.misses and study.misses:
             places = study.misses.fresh
             began = time.perf_counter()
-            self._midpoint = study.misses.found_at(places, study.rig(study.midpoint).mounts)
+            self._midpoint = study.misses.found_at(places, study.rig(study.space.midpoint).mounts)
             self._compare_s = COMPARED * (time.perf_counter() - began)
 
     def is_over(self, budget: Budget) -> bool:
@@ -86,7 +84,7 @@ class MissesRun(SearchRun):
             self._second_x = before[0]
         return told
 
-    def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
+    def step(self, evaluator: Evaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials, and double the places where that is due. Returns as SearchRun.step."""
         told = super().step(evaluator, budget)
         due = self._asked_at + DOUBLED_EVERY * len(self.best_x)
@@ -109,12 +107,12 @@ class MissesRun(SearchRun):
             return False
         best, second = (
             study.misses.found_at(known, study.rig(pose).mounts)
-            for pose in study.poses(np.array([self.best_x, self._second_x]))
+            for pose in study.space.poses(np.array([self.best_x, self._second_x]))
         )
         mean, error = best.compared(second)
         return mean > TOLD_APART * error
 
-    def _double(self, evaluator: TrialEvaluator) -> None:
+    def _double(self, evaluator: Evaluator) -> None:
         """Count at twice as many places, if there may be more, and start the solver anew."""
         if self.places < FRESH_PLACES:
             self.places *= 2
@@ -126,10 +124,10 @@ class MissesRun(SearchRun):
         """(s, dimensions) the best of the plain rigs that keep the constraints, by all that is known of them."""
         if isinstance(self._search, SeededSearch) and not self._restarts:
             best = self._search.best_points
-            self._plain = best[self.study.violation(self.study.poses(best)) == 0.0]
+            self._plain = best[self.study.space.violation(self.study.space.poses(best)) == 0.0]
         return self._plain
 
-    def _start_anew(self, evaluator: TrialEvaluator, points: Array) -> None:
+    def _start_anew(self, evaluator: Evaluator, points: Array) -> None:
         """Start the solver anew, from the best of the best rig and some points."""
         self._best_plain()  # while the search that knows them is there
         self._restarts += 1
@@ -139,10 +137,10 @@ class MissesRun(SearchRun):
         self._search = SeededSearch(self.study, every[np.sort(first)], self._restarts)
         self.best_cost = cost_of(self._cost_of(evaluator, self.best_x[None])[0])
 
-    def _cost_of(self, evaluator: TrialEvaluator, x: Array) -> Array:
+    def _cost_of(self, evaluator: Evaluator, x: Array) -> Array:
         """(n, 2) the costs of points (n, dimensions), as they count now."""
-        poses = self.study.poses(x)
-        return self._costs(evaluator, poses, np.zeros(len(x), np.int64), poses, unbounded(len(x)), 0.0)
+        poses = self.study.space.poses(x)
+        return evaluator.costs(poses, np.zeros(len(x), np.int64), poses, unbounded(len(x)))
 
     def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
         """The result: the best rig, or if that is better at fresh places the best plain one. Raises as SearchRun."""
@@ -173,12 +171,12 @@ class MissesRun(SearchRun):
         if self.places >= CHOSEN_AT:
             return best, least, self.places
         points = np.unique(np.concatenate([best[None], self._search.sources]), axis=0)
-        points = points[self.study.violation(self.study.poses(points)) == 0.0]
+        points = points[self.study.space.violation(self.study.space.poses(points)) == 0.0]
         least = np.inf
-        with StudyEvaluator(self.study, 1, places=CHOSEN_AT) as evaluator:
+        with ObjectiveCosts(self.study, 1, places=CHOSEN_AT) as objective:
             for x in points:
-                poses = self.study.poses(x[None])
-                [cost] = evaluator.costs(poses, np.zeros(1, np.int64), poses, np.full(1, least))
+                poses = self.study.space.poses(x[None])
+                [cost] = objective.costs(poses, np.zeros(1, np.int64), poses, np.full(1, least))
                 if cost < least:
                     best, least = x, float(cost)
         return best, least, CHOSEN_AT
@@ -189,8 +187,8 @@ class MissesRun(SearchRun):
 
     def _fresh_objectives(self, points: Array) -> list[float]:
         """The objectives of points (n, dimensions) at fresh places."""
-        poses = self.study.poses(points)
-        with StudyEvaluator(self.study, places=None) as fresh:
+        poses = self.study.space.poses(points)
+        with ObjectiveCosts(self.study, places=None) as fresh:
             found = fresh.costs(poses, np.zeros(len(poses), np.int64), poses, np.full(len(poses), np.inf))
         return [float(one) for one in found]
 
@@ -198,5 +196,5 @@ class MissesRun(SearchRun):
         """The rig at a point, of a known objective at fresh places."""
         study = self.study
         assert study.misses
-        rig = study.rig(study.poses(x[None])[0])
+        rig = study.rig(study.space.poses(x[None])[0])
         return Compared(rig, objective, study.misses.found(rig.mounts))

@@ -8,6 +8,7 @@ from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
+from lidarcfg.returns.scanners import scanners_of
 from lidarcfg.search.log import Log
 from lidarcfg.search.misses_search import MissesRun
 from lidarcfg.search.plain_rigs import plain_points
@@ -17,7 +18,8 @@ from lidarcfg.search.screening import Screening
 from lidarcfg.search.seeded import SeededSearch
 from lidarcfg.search.start_rigs import points_of
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.study.study import Study, load_study
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import Study
 
 
 def optimize(
@@ -48,7 +50,7 @@ def optimize(
         if study.requirements:
             instead = "`cheapest` searches for the cheapest rig that meets the requirements"
         raise ConfigError(f"the study has models to choose; {instead}")
-    dimensions = int(study.free.sum())
+    dimensions = study.space.dimensions
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
     budget = Budget.of(study.solver)
@@ -79,7 +81,7 @@ def search_run(
     if study.objective.misses:
         _check_firing(study)
         return MissesRun(study, log)
-    first = study.solver.begin(study.coordinates) if log.points is None else SeededSearch(study, log.points)
+    first = study.solver.begin(study.space.coordinates) if log.points is None else SeededSearch(study, log.points)
     return SearchRun(study, first, log)
 
 
@@ -92,14 +94,14 @@ def _plain_points(study: Study) -> Array:
 def _check_firing(study: Study) -> None:
     """Check that it is known when the sensors fire. Raises ConfigError."""
     try:
-        study.scanners(study.rig(study.midpoint).mounts)
+        scanners_of(study.rig(study.space.midpoint).mounts)
     except ConfigError as error:
         raise ConfigError(f"{error}; or give the study objective: {{max_vsr: 1}}") from None
 
 
 def place(study: Study, threads: int | None = None) -> Rig:
     """The rig of a study that costs least: the one that `optimize` finds, which also logs, resumes and evaluates."""
-    solver = study.solver.begin(study.coordinates)  # minimises over the unit cube, and knows no LiDARs
+    solver = study.solver.begin(study.space.coordinates)  # minimises over the unit cube, and knows no LiDARs
     search = SearchRun(study, solver)  # keeps the best trial
     budget = Budget.of(study.solver)
     with search.evaluator(threads) as evaluator:

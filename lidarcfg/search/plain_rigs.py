@@ -58,7 +58,7 @@ def plain_points(study: Study, most: int = PLAIN_MAX) -> Array:
     groups = _groups(study)
     found: dict[bytes, Array] = {}
     angles = _angles(study)
-    middle = np.full(int(study.free.sum()), 0.5)
+    middle = np.full(study.space.dimensions, 0.5)
     found[middle.tobytes()] = middle
     for each in islice(_ways(len(groups)), 100 * most):
         if len(found) >= most:
@@ -66,19 +66,19 @@ def plain_points(study: Study, most: int = PLAIN_MAX) -> Array:
         unit = angles.copy()
         for group, (spread, height) in zip(groups, each, strict=True):
             unit[list(group.slots), :3] = group.positions(spread, height)
-        point = unit[study.free]
+        point = unit[study.space.free]
         found.setdefault(point.tobytes(), point)
     return _drawn_in(study, np.array(list(found.values())))
 
 
 def _drawn_in(study: Study, points: Array) -> Array:
     """The points, those that violate constraints nearer to the middle, as far out as these allow."""
-    moves = (study.free & (np.arange(6) < 3))[study.free]
+    moves = (study.space.free & (np.arange(6) < 3))[study.space.free]
     out = points.copy()
     for share in IN_STEPS:
-        off = np.flatnonzero(study.violation(study.poses(out)) > 0)
+        off = np.flatnonzero(study.space.violation(study.space.poses(out)) > 0)
         out[np.ix_(off, moves)] = 0.5 + share * (points[np.ix_(off, moves)] - 0.5)
-    still = study.violation(study.poses(out)) > 0
+    still = study.space.violation(study.space.poses(out)) > 0
     out[still] = points[still]
     return out
 
@@ -94,27 +94,27 @@ def _ways(groups: int) -> Iterator[tuple[Way, ...]]:
 def _groups(study: Study) -> list[_Group]:
     """The sensors that move by themselves, those of equal bounds together."""
     slots: dict[bytes, list[int]] = {}
-    for i in np.flatnonzero(np.isnan(study.mirror)).tolist():
-        slots.setdefault(study.lower[i].tobytes() + study.upper[i].tobytes(), []).append(i)
+    for i in np.flatnonzero(np.isnan(study.space.mirror)).tolist():
+        slots.setdefault(study.space.lower[i].tobytes() + study.space.upper[i].tobytes(), []).append(i)
     return [_Group(tuple(members), _outward(study, members[0])) for members in slots.values()]
 
 
 def _outward(study: Study, slot: int) -> tuple[float, float]:
     """Along x and y, which end of a sensor's bounds is farther from the vehicle's middle; the upper one if none is."""
-    below_m = study.reference_m - study.lower[slot, :2]
-    above_m = study.upper[slot, :2] - study.reference_m
+    below_m = study.space.reference_m - study.space.lower[slot, :2]
+    above_m = study.space.upper[slot, :2] - study.space.reference_m
     x, y = np.where(above_m >= below_m, 1.0, 0.0).tolist()
     return x, y
 
 
 def _angles(study: Study) -> Array:
     """(slots, 6) fractions of the bounds at which sensors are as upright as they may be, with the middle of yaw."""
-    unit: NDArray[np.float64] = np.full(study.lower.shape, 0.5)
-    low = study.lower[:, 3:5]
-    high = study.upper[:, 3:5]
+    unit: NDArray[np.float64] = np.full(study.space.lower.shape, 0.5)
+    low = study.space.lower[:, 3:5]
+    high = study.space.upper[:, 3:5]
     extent = np.where(high > low, high - low, 1.0)
     unit[:, 3:5] = np.where(high > low, (np.clip(0.0, low, high) - low) / extent, 0.5)
-    number = np.cumsum(study.free.ravel()).reshape(study.free.shape) - 1
-    for column in study.freely_tilted.ravel():  # in the middle of the unit cube they stand upright
-        unit[(number == column) & study.free] = 0.5
+    number = np.cumsum(study.space.free.ravel()).reshape(study.space.free.shape) - 1
+    for column in study.space.freely_tilted.ravel():  # in the middle of the unit cube they stand upright
+        unit[(number == column) & study.space.free] = 0.5
     return unit

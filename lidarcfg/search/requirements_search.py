@@ -14,8 +14,7 @@ with the first rig that is verified.
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -29,12 +28,12 @@ from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.misses import SEED
 from lidarcfg.search.log import Check, Log, Places, joined
 from lidarcfg.search.misses_search import DOUBLED_EVERY, MissesRun
-from lidarcfg.search.requirements_evaluator import RequirementsEvaluator
-from lidarcfg.search.run import Budget, Cycle, Placement, TrialEvaluator
+from lidarcfg.search.run import Budget, Cycle, Placement
 from lidarcfg.search.seeded import SeededSearch
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.solvers.search import NO_COST, Cost, order
-from lidarcfg.study.evaluator import Index
+from lidarcfg.study.criterion import objective_of
+from lidarcfg.study.evaluator import Evaluator
 from lidarcfg.study.study import Study
 
 LEFT_MOST = 0.25  # of the seconds of a search, to verify its best rig at the end
@@ -106,32 +105,10 @@ class RequirementsRun(MissesRun):
         """All costs told so far, and what was verified."""
         return replace(super().log(), checks=tuple(self._checks))
 
-    @contextmanager
-    def evaluator(
-        self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
-    ) -> Iterator[RequirementsEvaluator]:
-        """An evaluator for one part of the run."""
-        with super().evaluator(threads, skip, on_evaluations) as one:
-            assert isinstance(one, RequirementsEvaluator)
-            yield one
-
-    def _evaluator(
-        self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
-    ) -> RequirementsEvaluator:
-        found = RequirementsEvaluator(self.study, threads, skip, on_evaluations, self._more_places, self.places)
+    def _evaluator(self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None) -> Evaluator:
+        found = Evaluator(self.study, threads, skip, on_evaluations, self.places, self._more_places)
         found.minimises = self._minimises
         return found
-
-    def _costs(
-        self,
-        evaluator: TrialEvaluator,
-        poses: Array,
-        source: Index,
-        source_poses: Array,
-        upper_bound: Array,
-        smoothing: float,
-    ) -> Array:
-        return evaluator.costs(poses, source, source_poses, upper_bound, smoothing)
 
     def _line(self) -> Cycle:
         line = super()._line()
@@ -167,7 +144,7 @@ class RequirementsRun(MissesRun):
         """Whether the verdict on the best rig is known."""
         return self._judged is not None and bool((self.best_x == self._judged[0]).all())
 
-    def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
+    def step(self, evaluator: Evaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials, and verify the best rig where that is due. Returns as SearchRun.step."""
         told = super().step(evaluator, budget)
         draws = not self._meets and self.evaluations >= self._next_draw
@@ -179,7 +156,6 @@ class RequirementsRun(MissesRun):
         if check is None and not self.is_replaying:
             check = self._checked() if self._is_due(budget) else self._drawn() if draws else None
         if check:
-            assert isinstance(evaluator, RequirementsEvaluator)
             self._go_on(check, evaluator)
         return told
 
@@ -234,9 +210,9 @@ class RequirementsRun(MissesRun):
 
     def _mounts(self, x: Array) -> Sequence[Mount]:
         """Those of the rig at a point."""
-        return self.study.rig(self.study.poses(x[None])[0]).mounts
+        return self.study.rig(self.study.space.poses(x[None])[0]).mounts
 
-    def _go_on(self, check: Check, evaluator: RequirementsEvaluator) -> None:
+    def _go_on(self, check: Check, evaluator: Evaluator) -> None:
         """Go on by what was found of the best rig."""
         self._checks.append(check)
         if check.passed:
@@ -261,7 +237,7 @@ class RequirementsRun(MissesRun):
             self._minimises = True
             self._restart(evaluator)
 
-    def _restart(self, evaluator: RequirementsEvaluator) -> None:
+    def _restart(self, evaluator: Evaluator) -> None:
         """Use the added places, and start the solver anew from the best rigs."""
         evaluator.add_places(self._more_places)
         evaluator.minimises = self._minimises
@@ -271,7 +247,7 @@ class RequirementsRun(MissesRun):
         self._start_anew(evaluator, points)
         self._candidates = self._search.points if isinstance(self._search, SeededSearch) else points
 
-    def _start_anew(self, evaluator: TrialEvaluator, points: Array) -> None:
+    def _start_anew(self, evaluator: Evaluator, points: Array) -> None:
         """As MissesRun, also from the best rig that was verified."""
         verified = [self._verified.x[None]] if self._verified else []
         super()._start_anew(evaluator, np.concatenate([*verified, points]))
@@ -338,7 +314,7 @@ class RequirementsRun(MissesRun):
         if self.study.only_required:
             objective = verdict.least_margin
         elif not (self._meets and self._minimises):
-            objective = self.study.cost(self.study.poses(self.best_x[None])[0])
+            objective = objective_of(self.study, self.study.space.poses(self.best_x[None])[0])
         believed = found.believed if self._minimises else None
         return replace(found, objective=objective, believed=believed, remarks=tuple(remarks))
 
@@ -352,7 +328,7 @@ def unachievable(study: Study) -> dict[str, str]:
     if study.requirements is None:
         return {}
     sensors = []
-    for slot, mount in zip(study.slots, study.rig(study.lower).mounts, strict=True):
+    for slot, mount in zip(study.slots, study.rig(study.space.lower).mounts, strict=True):
         some = [replace(mount, sensor=one.sensor, model=one.model) for one in slot.choices if one] or [mount]
         sensors.append(SensorChoice(some, None in slot.choices))
     rigs = AllowedRigs(sensors, study.requirements.site.bounds)

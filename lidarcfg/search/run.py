@@ -3,16 +3,14 @@
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.verdict import Verdict
-from lidarcfg.returns.known import KnownReturns
 from lidarcfg.returns.misses import MissesFound
 from lidarcfg.search.log import Log
 from lidarcfg.sensors.rig import Rig
@@ -23,14 +21,13 @@ from lidarcfg.solvers.search import (
     checked,
     cost_of,
     least,
-    of_objectives,
 )
 from lidarcfg.solvers.solver import Solver
 from lidarcfg.study.evaluation import Evaluation, evaluate
-from lidarcfg.study.evaluator import Index
+from lidarcfg.study.evaluator import Evaluator
 from lidarcfg.study.file import COORDINATES
+from lidarcfg.study.mounting import lidars_at
 from lidarcfg.study.study import Study
-from lidarcfg.study.study_evaluator import StudyEvaluator
 from lidarcfg.vsr.metric import max_vsr
 
 INFEASIBLE = 1e6  # shortfall of a rig that violates the constraints, by 1 + the violation
@@ -128,47 +125,6 @@ class Budget:
         )
 
 
-class TrialEvaluator(Protocol):
-    """Evaluates a study's trials."""
-
-    trials: int  # evaluated, in full or until they were refuted
-
-    @property
-    def known(self) -> KnownReturns | None:
-        """The returns at the places where misses are counted; None: they are not."""
-
-    def count_at(self, places: int) -> None:
-        """Count misses at so many places of each object from now on."""
-
-    @property
-    def smooths(self) -> bool:
-        """Whether costs can be smoothed."""
-
-    @property
-    def slice(self) -> int:
-        """How many trials are evaluated between two looks at the clock, where there is a deadline."""
-
-    @property
-    def full_evaluations(self) -> int:
-        """The number of rigs evaluated in full."""
-
-    @property
-    def cuboids(self) -> int:
-        """The number of cuboids evaluated."""
-
-    @property
-    def segments(self) -> int:
-        """The number of segments cast from LiDARs to cuboids, at most."""
-
-    def costs(
-        self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
-    ) -> Array:
-        """What is minimised, or inf where that is not below `upper_bound`. See Evaluator.costs.
-
-        Of a study's objective (n,) values; of requirements (n, 2) costs.
-        """
-
-
 @dataclass(frozen=True)
 class WorkDone:
     """The work that evaluators have done."""
@@ -178,7 +134,7 @@ class WorkDone:
     cuboids: int = 0
     segments: int = 0
 
-    def plus(self, evaluator: TrialEvaluator) -> "WorkDone":
+    def plus(self, evaluator: Evaluator) -> "WorkDone":
         """The sum with one more evaluator's work."""
         return WorkDone(
             self.trials + evaluator.trials,
@@ -197,7 +153,7 @@ class SearchRun:
 
     def __init__(self, study: Study, search: Search, log: Log | None = None) -> None:
         log = log or Log.empty()
-        if log.points is not None and log.points.shape[1] != study.free.sum():
+        if log.points is not None and log.points.shape[1] != study.space.free.sum():
             raise ConfigError(f"{study.name}: its log is that of another study")
         self.study = study
         self._search = search
@@ -236,7 +192,7 @@ class SearchRun:
 
     def rig(self) -> Rig:
         """The best rig so far."""
-        return self.study.rig(self.study.poses(self.best_x[None])[0])
+        return self.study.rig(self.study.space.poses(self.best_x[None])[0])
 
     def log(self) -> Log:
         """All costs told so far."""
@@ -245,7 +201,7 @@ class SearchRun:
     @contextmanager
     def evaluator(
         self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
-    ) -> Iterator[TrialEvaluator]:
+    ) -> Iterator[Evaluator]:
         """An evaluator for one part of the run."""
         self._since = time.perf_counter()
         with self._evaluator(threads, skip, on_evaluations) as one:
@@ -257,16 +213,14 @@ class SearchRun:
                 self._spent = self.seconds
                 self._since = math.inf
 
-    def _evaluator(
-        self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
-    ) -> AbstractContextManager[TrialEvaluator]:
-        return StudyEvaluator(self.study, threads, skip, on_evaluations)
+    def _evaluator(self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None) -> Evaluator:
+        return Evaluator(self.study, threads, skip, on_evaluations)
 
     def is_over(self, budget: Budget) -> bool:
         """Whether a limit is reached; there is always a first batch."""
         return bool(self.history) and budget.spent(self.evaluations, self.cycles)
 
-    def step(self, evaluator: TrialEvaluator, budget: Budget) -> bool:
+    def step(self, evaluator: Evaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials. Returns whether it added a line to the history that is not replayed."""
         trials = self.ask()
         cost = self.costs(trials, evaluator, budget)
@@ -301,7 +255,7 @@ class SearchRun:
     def _kind(self, trials: Trials) -> str:
         return trials.phase if trials.phase in self.asked else "trial"
 
-    def costs(self, trials: Trials, evaluator: TrialEvaluator, budget: Budget) -> Array:
+    def costs(self, trials: Trials, evaluator: Evaluator, budget: Budget) -> Array:
         """(n, 2) the costs of the rigs at trials, those of the log first; fewer if a budget cuts the batch short."""
         count = len(trials.x)
         self._cut_short = 0
@@ -320,39 +274,27 @@ class SearchRun:
             self._cut_short = len(cost)
         return cost
 
-    def _evaluated(self, trials: Trials, evaluator: TrialEvaluator, count: int, deadline: float) -> Array:
+    def _evaluated(self, trials: Trials, evaluator: Evaluator, count: int, deadline: float) -> Array:
         """(count, 2) the costs of the first trials, or inf where one is not below its upper bound.
 
         Fewer if the `deadline` (of `clock`) passes meanwhile.
         """
         study = self.study
-        source_poses = study.poses(self._search.sources)
+        source_poses = study.space.poses(self._search.sources)
         slices = []
         step = count if deadline == math.inf else evaluator.slice
         for first in range(0, count, step):
             part = slice(first, min(first + step, count))
-            poses = study.poses(trials.x[part])
-            violation = study.violation(poses)
+            poses = study.space.poses(trials.x[part])
+            violation = study.space.violation(poses)
             cost = np.stack([INFEASIBLE * (1.0 + violation), np.full(len(poses), np.inf)], axis=1)
             kept = np.flatnonzero(violation == 0.0)
             asked = poses[kept], trials.source[part][kept], source_poses, trials.upper_bound[part][kept]
-            cost[kept] = self._costs(evaluator, *asked, trials.smoothing)
+            cost[kept] = evaluator.costs(*asked, trials.smoothing)
             slices.append(cost)
             if time.perf_counter() > deadline:
                 break
         return checked(np.concatenate(slices))
-
-    def _costs(
-        self,
-        evaluator: TrialEvaluator,
-        poses: Array,
-        source: Index,
-        source_poses: Array,
-        upper_bound: Array,
-        smoothing: float,
-    ) -> Array:
-        """(n, 2) the costs of rigs that keep the constraints."""
-        return objective_costs(evaluator, poses, source, source_poses, upper_bound, smoothing)
 
     def placement(self, interrupted: bool, verdict: Verdict | None = None) -> Placement:
         """The result; `verdict` as in evaluate.
@@ -367,7 +309,7 @@ class SearchRun:
         rig = self.rig()
         log = self.log()
         # before the evaluation, not during it, since either may need a gigabyte
-        midpoint = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
+        midpoint = max_vsr(study.region, lidars_at(study.slots, study.space.midpoint), study.visibility)
         return Placement(
             rig=rig,
             evaluation=evaluate(study, rig, verdict=verdict),
@@ -384,30 +326,18 @@ class SearchRun:
             log=log,
             seconds=log.seconds,
             interrupted=interrupted,
-            at_bounds=at_bounds(study, study.poses(self.best_x[None])[0]),
+            at_bounds=at_bounds(study, study.space.poses(self.best_x[None])[0]),
         )
 
 
 def at_bounds(study: Study, poses: Array) -> tuple[str, ...]:
     """The coordinates of poses (slots, 6) that could vary and are at a bound: each with its sensor and the bound."""
+    space = study.space
     found = []
-    bounded = (study.upper - study.lower < TURN) | (np.arange(len(COORDINATES)) < 3)  # a free turn has no end
-    for i, k in np.argwhere(study.free & bounded).tolist():
-        for bound, end in ((study.lower[i, k], "least"), (study.upper[i, k], "most")):
+    bounded = (space.upper - space.lower < TURN) | (np.arange(len(COORDINATES)) < 3)  # a free turn has no end
+    for i, k in np.argwhere(space.free & bounded).tolist():
+        for bound, end in ((space.lower[i, k], "least"), (space.upper[i, k], "most")):
             if abs(poses[i, k] - bound) <= AT_BOUND:
                 value = f"{math.degrees(bound):.6g}°" if k >= 3 else f"{bound:.6g} m"
                 found.append(f"{study.slots[i].name}: {COORDINATES[k]} is at its {end}, {value}")
     return tuple(found)
-
-
-def objective_costs(
-    evaluator: TrialEvaluator,
-    poses: Array,
-    source: Index,
-    source_poses: Array,
-    upper_bound: Array,
-    smoothing: float = 0.0,
-) -> Array:
-    """(n, 2) the costs of rigs without a shortfall, by an evaluator of their objective. See Evaluator.costs."""
-    beaten = np.where(upper_bound[:, 0] > 0, np.inf, upper_bound[:, 1])
-    return of_objectives(evaluator.costs(poses, source, source_poses, beaten, smoothing))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.resolved import Requirements
 from lidarcfg.returns.known import lowest_at
-from lidarcfg.study.slots import Slot
+from lidarcfg.study.mounting import Slot
 from lidarcfg.study.study import Study
 
 BEST = 12  # rigs that are then judged at all places, if they meet all there
@@ -65,7 +65,7 @@ class Screening:
 
         If it is to be `quick`, at a few of the places.
         """
-        poses = study.poses(points) + 0.0
+        poses = study.space.poses(points) + 0.0
         places = {n: self._places[n][: item.quick if quick else None] for n, item in self._items.items()}
         self._cast(study, poses, places)
         worst = np.full(len(poses), -math.inf if self._items else 0.0)
@@ -81,7 +81,7 @@ class Screening:
 
     def unknown(self, study: Study, points: Array) -> set[Key]:
         """The sensors at poses of the rigs at points (n, free coordinates) that a quick look would cast."""
-        poses = study.poses(points) + 0.0
+        poses = study.space.poses(points) + 0.0
         return {_key(slot, pose) for row in poses for slot, pose in zip(study.slots, row, strict=True)} - set(
             self._known
         )
@@ -118,7 +118,7 @@ class Screening:
                     if done < len(places):
                         fresh.setdefault(done, {})[key] = i, pose
             for done, found in fresh.items():
-                at = study.lower.copy()
+                at = study.space.lower.copy()
                 mounts = []
                 for i, pose in found.values():
                     at[i] = pose

@@ -82,4 +82,4 @@ class SeededSearch(Best):
         solver = study.solver.model_copy(update={"seed": self._seed})
         casts = bool(study.requirements or study.objective.misses)
         starts = self.best_points if len(self.best_points) else self.best_x[None]
-        self._search = solver.begin(replace(study.coordinates, one_group_is_cheap=casts), starts)
+        self._search = solver.begin(replace(study.space.coordinates, one_group_is_cheap=casts), starts)

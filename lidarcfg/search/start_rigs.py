@@ -12,7 +12,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.search.combinations import Combination
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.file import COORDINATES
-from lidarcfg.study.slots import ROLL
+from lidarcfg.study.search_space import ROLL
 from lidarcfg.study.study import Study
 from lidarcfg.study.surfaces import mirrored
 
@@ -35,11 +35,11 @@ def point_of(study: Study, rig: Rig) -> Array:
     for i, slot in enumerate(study.slots):
         if slot.surface:
             inside[i, :3] = slot.surface.bases_m(poses[i : i + 1])[0]
-    turns = np.round(((study.lower + study.upper) / 2 - inside)[:, 3:] / (2 * math.pi))
+    turns = np.round(((study.space.lower + study.space.upper) / 2 - inside)[:, 3:] / (2 * math.pi))
     inside[:, 3:] += 2 * math.pi * turns
-    inside = np.clip(inside, study.lower, study.upper)
+    inside = np.clip(inside, study.space.lower, study.space.upper)
     x = _unit(study, inside)
-    allowed = study.poses(x[None])[0]
+    allowed = study.space.poses(x[None])[0]
     off = poses - allowed
     off[:, 3:] -= 2 * math.pi * np.round(off[:, 3:] / (2 * math.pi))
     if (abs(off) > NEAR).any():
@@ -47,7 +47,7 @@ def point_of(study: Study, rig: Rig) -> Array:
         raise ConfigError(
             f"{rig.name}: {names[i]}: {_said(study, int(i), int(k), float(poses[i, k]), float(allowed[i, k]))}"
         )
-    if study.violation(allowed[None])[0] > 0:
+    if study.space.violation(allowed[None])[0] > 0:
         what = "breaks the constraints: sensors are inside the body, off their surface, tilted too much or too near"
         raise ConfigError(f"{rig.name}: {what}")
     return x
@@ -55,7 +55,7 @@ def point_of(study: Study, rig: Rig) -> Array:
 
 def points_of(study: Study, rigs: Sequence[Rig]) -> Array:
     """(n, free coordinates) the points of rigs. Raises as point_of does."""
-    return np.array([point_of(study, rig) for rig in rigs]).reshape(len(rigs), int(study.free.sum()))
+    return np.array([point_of(study, rig) for rig in rigs]).reshape(len(rigs), study.space.dimensions)
 
 
 def points_by_combination(combinations: Sequence[Combination], rigs: Sequence[Rig]) -> dict[int, list[Array]]:
@@ -92,18 +92,18 @@ def _matched(study: Study, rig: Rig) -> tuple[Array, list[str]]:
     at = np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
     mount_models = [mount.sensor.name for mount in rig.mounts]
     slot_models = [slot.sensor.name for slot in study.slots]
-    images = ~np.isnan(study.mirror)
+    images = ~np.isnan(study.space.mirror)
     distance = np.zeros((len(at), len(at)))  # by slot and sensor
     for i in range(len(at)):
-        low, high = study.lower[i, :3], study.upper[i, :3]
-        seen = mirrored(at, study.mirror[i]) if images[i] else at
+        low, high = study.space.lower[i, :3], study.space.upper[i, :3]
+        seen = mirrored(at, study.space.mirror[i]) if images[i] else at
         distance[i] = np.linalg.norm(seen[:, :3] - np.clip(seen[:, :3], low, high), axis=1)
         distance[i] += [OTHER * (model != slot_models[i]) for model in mount_models]
     order: NDArray[np.int64] = linear_sum_assignment(distance)[1]
     seconds = np.flatnonzero(images)
     if len(seconds):  # which of them is the image of which
         pool = order[seconds]
-        wanted = mirrored(at[order[seconds - 1]], study.mirror[seconds])
+        wanted = mirrored(at[order[seconds - 1]], study.space.mirror[seconds])
         apart = np.linalg.norm(wanted[:, None, :3] - at[None, pool, :3], axis=2)
         apart += np.array([[OTHER * (mount_models[n] != slot_models[i]) for n in pool] for i in seconds])
         order[seconds] = pool[linear_sum_assignment(apart)[1]]
@@ -112,10 +112,10 @@ def _matched(study: Study, rig: Rig) -> tuple[Array, list[str]]:
 
 def _unit(study: Study, coordinates: Array) -> Array:
     """(free coordinates,) the point of the unit cube with these coordinates (slots, 6) within the bounds."""
-    free = study.free
-    low, high = study.lower[free], study.upper[free]
+    free = study.space.free
+    low, high = study.space.lower[free], study.space.upper[free]
     unit = (coordinates[free] - low) / (high - low)
-    for roll, pitch in study.freely_tilted:  # upright is in the middle: see slots.center_on_upright
+    for roll, pitch in study.space.freely_tilted:  # upright is in the middle: see search_space.center_on_upright
         unit[pitch] = (unit[pitch] - 0.5) % 1.0
         unit[roll] = ((unit[roll] - 0.5) * (-1.0 if unit[pitch] < 0.5 else 1.0)) % 1.0
     return unit
@@ -123,8 +123,8 @@ def _unit(study: Study, coordinates: Array) -> Array:
 
 def _said(study: Study, slot: int, axis: int, has: float, there: float) -> str:
     """What is wrong with a coordinate of a sensor, and what is allowed."""
-    low, high = study.lower[slot, axis], study.upper[slot, axis]
-    free = np.isnan(study.mirror[slot]) and not (study.slots[slot].surface and axis < ROLL)
+    low, high = study.space.lower[slot, axis], study.space.upper[slot, axis]
+    free = np.isnan(study.space.mirror[slot]) and not (study.slots[slot].surface and axis < ROLL)
     angle = axis >= ROLL
 
     def text(value: float) -> str:
@@ -132,7 +132,7 @@ def _said(study: Study, slot: int, axis: int, has: float, there: float) -> str:
 
     name = COORDINATES[axis]
     if not free:
-        why = "on its surface" if np.isnan(study.mirror[slot]) else "as the mirror image of its pair"
+        why = "on its surface" if np.isnan(study.space.mirror[slot]) else "as the mirror image of its pair"
         return f"{name} is {text(has)}; allowed: {text(there)}, {why}"
     if low == high:
         return f"{name} is {text(has)}; allowed: {text(low)}"

@@ -18,9 +18,11 @@ from lidarcfg.config.document import Document, Key, document
 from lidarcfg.config.models import Model, checked, error_at, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
+from lidarcfg.returns.scanners import scanners_of
 from lidarcfg.search.workers import versions
 from lidarcfg.study.file import StudyFile
-from lidarcfg.study.study import Study, study_of
+from lidarcfg.study.loading import study_of
+from lidarcfg.study.study import Study
 
 RUNS_MAX = 100_000
 PATH = re.compile(r"[^.\[\]]+(\[\d{1,9}\])*(\.[^.\[\]]+(\[\d{1,9}\])*)*")
@@ -170,10 +172,10 @@ class Studies:
             if study.to_choose:
                 what = "choose gives a front, not one rig; vary sensors[…].model instead, or optimize the study"
                 raise error_at(self.path, ("sensors",), what)
-            if not study.free.any():
+            if not study.space.free.any():
                 raise error_at(self.path, ("sensors",), "nothing is free to move; every bound is equal")
             if study.detection_targets:
-                study.scanners(study.rig(study.lower).mounts)  # an error comes before the search
+                scanners_of(study.rig(study.space.lower).mounts)  # an error comes before the search
             content = hashlib.sha256()
             for field in fields(study):
                 if field.name != "solver":

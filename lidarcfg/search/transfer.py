@@ -48,16 +48,16 @@ def transferred(combination: Combination, examples: Sequence[Example], rng: np.r
                 found.append(x)
             if x is None or not is_new:
                 break
-    return np.array(found[:TRANSFERRED_MAX]).reshape(-1, combination.study.free.sum())
+    return np.array(found[:TRANSFERRED_MAX]).reshape(-1, combination.study.space.free.sum())
 
 
 def _sensors(combination: Combination) -> list[MovingSensor]:
     study = combination.study
     each = zip(combination.groups, study.slots, strict=True)
     return [
-        MovingSensor(group, slot.model, np.flatnonzero(study.groups == i))
+        MovingSensor(group, slot.model, np.flatnonzero(study.space.groups == i))
         for i, (group, slot) in enumerate(each)
-        if np.isnan(study.mirror[i])
+        if np.isnan(study.space.mirror[i])
     ]
 
 

@@ -86,7 +86,7 @@ class Trials:
     x: Array  # (n, dimensions)
     source: NDArray[np.int64]  # (n,) the row of the search's `sources` that each was drawn around
     upper_bound: Array  # (n, 2) a cost that is not below this may be reported as (inf, inf)
-    smoothing: float = 0.0  # of the costs that are wanted, if they can be smoothed, see Evaluator.costs; 0: none
+    smoothing: float = 0.0  # of the costs that are wanted, if they can be smoothed, see BoundedCosts.costs; 0: none
 
 
 class Sampler(Protocol):

@@ -1,10 +1,16 @@
-"""A study: which sensors may sit where on a vehicle, what is minimised, and how well one rig does.
+"""A study: which sensors may be mounted where on a vehicle, what is minimised, and how well one rig does.
 
-To read in this order: `file` has the keys, `slots` what may be mounted where, `surfaces` where on a body; `study` puts
-them together, and `checks` warns about what looks wrong. An `objective` is a weighted sum of `terms`, a module each;
-`return_counts` says how often objects get enough returns. A `trial` is a rig whose terms are computed: one by one, or
-by `evaluator` a `batch` at a time; `study_evaluator` takes failures and mounting errors into account. `evaluation`
-judges one rig in full.
+To read in this order: `file` has the keys, `mounting` which sensors may be mounted within which bounds, `surfaces`
+where on a body, `search_space` the unit cube that a solver searches, `zones` parts of the region that weigh more;
+`loading` makes a `study` of them, and `checks` warns about what looks wrong. An `objective` is a weighted sum of
+`terms`, a module each, and a `criterion` computes it; `return_counts` says how often objects get enough returns.
+
+`evaluation` judges one rig in full: `detection` how often it detects objects, `extents` where the worst subspaces are,
+`spheres` the largest ball in each, `extrapolation` max VSR for ever smaller cuboids.
+
+The costs of a search's trials come from an `evaluator`: shortfalls of requirements, then `objective_costs`, which take
+failures and mounting errors into account. These are `bounded_costs`, which end early. A `trial` is a rig whose terms
+are computed.
 """
 
 import lazy_loader

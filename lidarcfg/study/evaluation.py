@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.config.document import key_text
 from lidarcfg.config.models import Given
@@ -17,19 +18,23 @@ from lidarcfg.returns.misses import MissesFound
 from lidarcfg.returns.post_visibility import PostVisibility
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.study.evaluator import Evaluator
-from lidarcfg.study.objective import Criterion, without_cones
-from lidarcfg.study.return_counts import ReturnCounts, return_counts
-from lidarcfg.study.study import Study, load_study
+from lidarcfg.study.bounded_costs import BoundedCosts
+from lidarcfg.study.criterion import Criterion
+from lidarcfg.study.detection import detection_rates, rig_returns
+from lidarcfg.study.extents import Extent, extents
+from lidarcfg.study.extrapolation import Extrapolated, extrapolate
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.objective import without_cones
+from lidarcfg.study.return_counts import ReturnCounts
+from lidarcfg.study.spheres import largest_spheres
+from lidarcfg.study.study import Study
 from lidarcfg.study.trial import Trial
+from lidarcfg.study.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.vsr.cones import rig_lidars
-from lidarcfg.vsr.detection import Counted, Detection, counted_places, detection
-from lidarcfg.vsr.extrapolation import Extrapolated, extrapolate
-from lidarcfg.vsr.metric import Extent, extents, surface_m2, volume_m3, vsr_m
-from lidarcfg.vsr.spheres import largest_spheres
+from lidarcfg.vsr.detection import Counted, Detection, counted_places
+from lidarcfg.vsr.metric import surface_m2, volume_m3, vsr_m
 from lidarcfg.vsr.subspaces import BLIND, Subspaces, segment
 from lidarcfg.vsr.visibility import seen_by_m3
-from lidarcfg.vsr.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.world.vehicle import check_outside
 
 CUBOIDS_MAX = 1_000_000  # for larger regions it is omitted
@@ -86,7 +91,7 @@ def robustness(study: Study, rig: Rig) -> Robustness | None:
     if study.region.included.size > CUBOIDS_MAX:
         return None
     trial = Trial(study.region, rig_lidars(rig), study.visibility)
-    criterion = study.criterion(mounts=rig.mounts)
+    criterion = Criterion.of_study(study, mounts=rig.mounts)
     names = [mount.name for mount in rig.mounts]
     everyone = range(len(rig.mounts))
     without = [
@@ -113,9 +118,9 @@ def changes_m(study: Study, rig: Rig, step_m: float = STEP_M, step_deg: float = 
     for number, off in enumerate(OFFSETS):
         moved[number :: len(OFFSETS)][np.arange(pose.size), lidars, axes] += off * step[axes]
     every = np.concatenate([pose[None], moved])
-    with Evaluator(study.region, rig_lidars(rig), visibility=study.visibility) as evaluator:
+    with BoundedCosts(study.region, rig_lidars(rig), visibility=study.visibility) as bounded:
         source = np.zeros(len(every), np.int64)
-        cost = evaluator.costs(every, source, pose[None], np.full(len(every), HUGE))
+        cost = bounded.costs(every, source, pose[None], np.full(len(every), HUGE))
     change: Array = cost[1:] - cost[0]
     return change.reshape(len(pose), 6, len(OFFSETS))
 
@@ -198,11 +203,11 @@ def evaluate(
     numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
     where = extents(subspaces, numbers)
     worst = _worst(rig, subspaces, vsr, radius, dict(zip(numbers, where, strict=True)))
-    seen = _return_counts(study, rig, on_progress)
+    seen = rig_returns(study, rig, on_progress)
     counted = {
         item.name: counted_places(subspaces, item) for item in study.detection if not (item.samples or item.returns)
     }
-    rates = _rates(study, subspaces, seen, counted)
+    rates = detection_rates(study, rig, subspaces, seen, counted)
     zones = max_vsr_by_zone(study.zones, subspaces)
     misses = misses_of(study, rig)
     verifier = None
@@ -227,6 +232,15 @@ def evaluate(
         verdict=verdict,
         verifier=verifier,
     )
+
+
+def shadow(study: Study, rig: Rig) -> NDArray[np.bool_]:
+    """(nx, ny, nz) which cuboids bodies alone hide from all LiDARs of a rig: without bodies, one would see them."""
+    if study.visibility is None:
+        return np.zeros(study.region.shape, np.bool_)
+    lidars = rig_lidars(rig)
+    without_bodies = segment(study.region, lidars, study.visibility.transparent()).seen_by
+    return np.asarray((without_bodies > 0) & (segment(study.region, lidars, study.visibility).seen_by == 0))
 
 
 def misses_of(study: Study, rig: Rig) -> MissesFound | None:
@@ -261,33 +275,6 @@ def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, radius: Array, where: dic
             )
         )
     return tuple(found)
-
-
-def detection_rates(study: Study, rig: Rig, subspaces: Subspaces) -> dict[str, Detection]:
-    """How often each of the study's objects is detected, by its name. Raises ConfigError."""
-    return _rates(study, subspaces, _return_counts(study, rig), {})
-
-
-def _rates(
-    study: Study, subspaces: Subspaces, seen: dict[str, ReturnCounts], counted: dict[str, Counted]
-) -> dict[str, Detection]:
-    return {
-        item.name: seen[item.name].detection
-        if item.name in seen
-        else detection(subspaces, item, counted.get(item.name))
-        for item in study.detection
-    }
-
-
-def _return_counts(
-    study: Study, rig: Rig, on_progress: Callable[[float], None] = lambda fraction: None
-) -> dict[str, ReturnCounts]:
-    """The returns from the objects that are detected by returns. Raises ConfigError."""
-    if not study.detection_targets:
-        return {}
-    scanners = study.scanners(rig.mounts)
-    found = return_counts(study.detection_targets, scanners, rig_lidars(rig), study.obstacles, on_progress)
-    return {one.target.item.name: one for one in found}
 
 
 def _beams_around(sensor: Sensor, gap: int) -> list[float | None]:

@@ -1,360 +1,154 @@
-"""The costs of a batch of trials: on threads, and without work that cannot change the answer.
+"""What a search asks for the costs of its trials: how far they fall short of requirements, then their objective.
 
-A trial is kept only if it beats the food source that it was drawn around. For max VSR the subspaces of a few cuboids
-are flooded first, its certificates: those in the source's worst subspaces, and those that refuted earlier trials of
-it. One that is no better than the source refutes the trial, as in branch and bound. Only the LiDARs that moved are
-computed anew. Other terms of an objective have their own ways to prove that they are too large, see objective.py. None
-of this changes a cost that is kept: tests run whole searches with and without it.
+Only rigs that meet all requirements have an objective.
 """
 
+import math
 import os
-from collections import deque
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
-from typing import NamedTuple
+from types import TracebackType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarcfg.core import vsr as core
-from lidarcfg.geometry import Array, level, up
-from lidarcfg.inputs import check_memory
-from lidarcfg.study.batch import Counter, parallel_for
-from lidarcfg.study.objective import Criterion
-from lidarcfg.study.trial import Trial
-from lidarcfg.vsr.cones import FIRST, Lidar, cone_rows
-from lidarcfg.vsr.region import Region
-from lidarcfg.vsr.subspaces import Words, check_grid, cuboid_number, grid_of
-from lidarcfg.vsr.visibility import LIMITS, UNLIMITED_SIGHT, Visibility
+from lidarcfg.geometry import Array
+from lidarcfg.requirements.shortfalls import Draws, Shortfalls
+from lidarcfg.returns.known import KnownReturns
+from lidarcfg.returns.misses import SEARCH_PLACES
+from lidarcfg.solvers.search import Cost, is_below, of_objectives, unbounded
+from lidarcfg.study.bounded_costs import Index
+from lidarcfg.study.objective_costs import ObjectiveCosts
+from lidarcfg.study.study import Study
 
-CACHE_BYTES = 256 * 2**20
-LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
-SLICE = 1000  # trials between two looks at the clock
-SLICE_CUBOIDS = 5e7  # in them, at most
-REMEMBERED = 10_000  # trials that may take the place of a food source
-CERTIFICATES = 12  # of a food source, see core/vsr/evaluator.h
-FEW = 8  # LiDARs; a trial of at most this many takes as long as its cuboids, one of more proportionally longer
-PAUSE = 10  # batches without certificates after one in which they refuted less than a quarter
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
-
-
-def slice_of(cuboids: int, threads: int) -> int:
-    """Trials of `cuboids` cuboids between two looks at the clock: one for each thread at least."""
-    return min(SLICE, max(threads, int(SLICE_CUBOIDS / cuboids)))
-
-
-class _Remembered(NamedTuple):
-    """What is known of some trials; a food source may move to one of them."""
-
-    source: Index  # (n,)
-    poses: Array  # (n, lidars, 6)
-    certificates: Index  # (n, CERTIFICATES)
-    links: Words  # (n, rows, 3) of the LiDAR `moved`, or none
-    clear: Words  # (n, rows) of it, or none
-    moved: Index  # (n,) the one that moved; −1 where there are others, or its links are not here
+SHORTFALL_MOST = 1e5  # less than what a rig costs that violates constraints
+LEAST = math.ulp(0.0)  # the least number above 0
+LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
+SLICE_MOST = 1000
 
 
 class Evaluator:
-    """Evaluates poses (n, lidars, 6) of LiDARs, whose own poses do not matter; a context that owns its threads.
+    """The costs of a study's sensors at poses (n, slots, 6); a context that owns its threads.
 
-    Without a criterion the cost is max VSR. Results depend neither on the number of threads, nor on `skip`, which
-    turns the savings off, nor on cache_bytes: the links of the food sources are kept if they fit.
+    Misses are counted at so many `places` of each object. `more_places`: see Shortfalls.
     """
 
     def __init__(
         self,
-        region: Region,
-        lidars: Sequence[Lidar],
+        study: Study,
         threads: int | None = None,
         skip: bool = True,
-        criterion: Criterion | None = None,
-        cache_bytes: int = CACHE_BYTES,
-        visibility: Visibility | None = None,
+        on_evaluations: Callable[[int], None] | None = None,
+        places: int = SEARCH_PLACES,
+        more_places: Mapping[int, Array] | None = None,
     ) -> None:
-        self._region = region
-        self._lidars = lidars
-        self._skip = skip
-        self._criterion = criterion
-        self._visibility = visibility
+        self._study = study
         self._threads = threads or os.cpu_count() or 1
-        self._cache_bytes = cache_bytes
         self._pool = ThreadPoolExecutor(self._threads)
-        self._square = cone_rows(lidars)[:, FIRST:]
-        self._grid = grid_of(region, criterion.weight if criterion else None)
-        lidar_count, beams = self._square.shape
-        check_grid(self._grid, lidar_count, beams, self._threads)
-        self._cases = criterion.kept if criterion and len(criterion.kept) else np.ones((1, len(lidars)), bool)
-        if criterion and not criterion.is_max_vsr:
-            what = f"numbering {region.included.size:,} cuboids on {self._threads} threads"
-            needed = LABEL_BYTES * region.included.size * self._threads
-            check_memory(what, needed, "use larger cuboids or fewer threads")
-        rows = self._grid.rows
-        self._poses = np.empty((0, len(lidars), 6))  # of the food sources, for _certificates
-        self._linked_poses = self._poses  # and for _links
-        self._links = np.empty((0, len(lidars), rows, 3), np.uint64)  # (sources, …), or none
-        self._clear = np.empty((0, len(lidars), rows), np.uint64)  # (sources, …), or none
-        self._certificates = np.empty((0, CERTIFICATES), np.int64)  # (sources, …)
-        self._remembered: deque[_Remembered] = deque()  # since food sources moved
-        self._pause = 0  # see PAUSE
-        self.on_evaluated: Callable[[int], None] | None = None  # is called with how many more have ended
-        self.full_evaluations = 0
-        self.cuboids = 0  # evaluated
-        self.segments = 0  # cast from LiDARs to cuboids, at most
-        self._segments = len(lidars) * int(region.included.sum()) if visibility and visibility.blocks else 0
+        self._skip = skip
+        self._on_evaluations = on_evaluations
+        self._judge: Shortfalls | None = None
+        if study.requirements:
+            self.add_places(more_places or {})
+        told = None if study.requirements else on_evaluations
+        self._objective = None if study.only_required else ObjectiveCosts(study, threads, skip, told, places)
+        self._seconds = 0.0
+        self.minimises = True  # what rigs that meet all are compared by; else all of them cost nothing
+        self.trials = 0  # evaluated, in full or until they were refuted
 
     def __enter__(self) -> "Evaluator":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         self._pool.shutdown(cancel_futures=True)
+        if self._objective:
+            self._objective.__exit__(kind, value, at)
+
+    def add_places(self, more_places: Mapping[int, Array]) -> None:
+        """Use these places, too, from now on; see Shortfalls. What is known of sensors is forgotten."""
+        assert self._study.requirements
+        mounts = self._study.rig(self._study.space.lower).mounts
+        self._judge = Shortfalls(self._study.requirements, mounts, self._skip, more_places)
 
     @property
-    def slice(self) -> int:
-        """How many trials are evaluated between two looks at the clock, where there is a deadline."""
-        cuboids = self._region.included.size * len(self._cases)
-        return slice_of(cuboids * max(len(self._lidars), FEW) // FEW, self._threads)
+    def known(self) -> KnownReturns | None:
+        """The returns at the places where misses are counted; None: they are not."""
+        return self._objective.known if self._objective else None
+
+    def count_at(self, places: int) -> None:
+        """Count misses at so many places of each object from now on."""
+        if self._objective:
+            self._objective.count_at(places)
 
     @property
     def smooths(self) -> bool:
         """Whether costs can be smoothed."""
-        return self._criterion is None or self._criterion.is_max_vsr
+        return self._judge is None and self._objective is not None and self._objective.smooths
+
+    @property
+    def slice(self) -> int:
+        """How many trials are evaluated between two looks at the clock, where there is a deadline."""
+        if self._objective and self._judge is None:
+            return self._objective.slice
+        each_s = self._seconds / self.trials if self.trials else math.inf
+        return int(np.clip(LOOK_S / max(each_s, 1e-9), self._threads if self.trials else 1, SLICE_MOST))
+
+    @property
+    def full_evaluations(self) -> int:
+        """The number of rigs whose objective was evaluated in full."""
+        return self._objective.full_evaluations if self._objective else 0
+
+    @property
+    def cuboids(self) -> int:
+        """The number of cuboids evaluated."""
+        return self._objective.cuboids if self._objective else 0
+
+    @property
+    def segments(self) -> int:
+        """The number of segments cast from LiDARs to cuboids, at most."""
+        return self._objective.segments if self._objective else 0
 
     def costs(
         self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
     ) -> Array:
-        """(n,) the costs, or inf where one is not below `upper_bound` (n,).
+        """(n, 2) the costs, or (inf, inf) where one is not below `upper_bound` (n, 2). See BoundedCosts.costs."""
+        self.trials += len(poses)
+        if self._judge is None:
+            return self._objectives(poses, source, source_poses, upper_bound, smoothing)
+        began = time.perf_counter()
+        limits = upper_bound if self._skip else unbounded(len(poses))
+        cost = self._shortfalls(self._judge, poses, limits)
+        if self._objective and self.minimises:
+            met = np.flatnonzero(cost[:, 0] == 0)
+            if len(met):
+                cost[met] = self._objectives(poses[met], source[met], source_poses, limits[met])
+        self._judge.learn()
+        self._seconds += time.perf_counter() - began
+        if self._on_evaluations:
+            self._on_evaluations(self.trials)
+        return np.where(is_below(cost, limits)[:, None], cost, np.inf)
 
-        poses (n, lidars, 6); source (n,) says which of source_poses (sources, lidars, 6) a trial was drawn
-        around, and matters for speed alone. With `smoothing` the cost is not max VSR, but the p-norm of the VSR of the
-        worst subspaces, of at most CERTIFICATES, with p = 1 / smoothing; other costs stay as they are.
-        """
-        if not self._skip:
-            upper_bound = np.full(len(poses), np.inf)
-        if self._criterion is None or self._criterion.is_max_vsr:
-            cost, full = self._max_vsr(poses, source, source_poses, upper_bound, smoothing=smoothing)
-            self.full_evaluations += full
-            return cost
-        return self._weighted(self._criterion, poses, source, source_poses, upper_bound)
-
-    def refuted(self, poses: Array, source: Index, source_poses: Array, upper_bound: Array) -> Flags:
-        """(n,) whether a few certificates alone show that a cost is not below `upper_bound`; as `costs`."""
-        criterion = self._criterion
-        if not self._skip or not len(poses) or (criterion and criterion.max_vsr is None):
-            return np.zeros(len(poses), bool)
-        if criterion:
-            nothing = [0.0] * len(criterion.terms)
-            limit = [criterion.limit(nothing, criterion.max_vsr or 0, value) for value in upper_bound.tolist()]
-            upper_bound = np.array(limit)
-        cost, _ = self._max_vsr(poses, source, source_poses, upper_bound, in_full=False)
-        out: Flags = cost == np.inf
-        return out
-
-    def _weighted(
-        self, criterion: Criterion, poses: Array, source: Index, source_poses: Array, upper_bound: Array
+    def _objectives(
+        self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
     ) -> Array:
-        """(n,) the costs by several terms: certificates of max VSR first, then the trials that they did not refute."""
-        out = np.full(len(poses), np.nan)
-        self._pause = max(self._pause - 1, 0)
-        if criterion.max_vsr is not None and not self._pause:
-            refuted = self.refuted(poses, source, source_poses, upper_bound)
-            out[refuted] = np.inf
-            self._pause = PAUSE if 4 * int(refuted.sum()) < len(poses) else 0
-        trials = np.flatnonzero(np.isnan(out))
+        """(n, 2) the costs of rigs without a shortfall."""
+        assert self._objective
+        beaten = np.where(upper_bound[:, 0] > 0, np.inf, upper_bound[:, 1])
+        return of_objectives(self._objective.costs(poses, source, source_poses, beaten, smoothing))
 
-        def one(trial: int) -> tuple[float, Index, int]:
-            rig = Trial(self._region, self._lidars, self._visibility, poses[trial])
-            cost = criterion.of(rig, float(upper_bound[trial]))
-            cut = sum(case.is_cut for case in criterion.cases(rig))
-            return cost, self._worst(criterion, rig), cut
+    def _shortfalls(self, judge: Shortfalls, poses: Array, limits: Array) -> Array:
+        """(n, 2) the costs by shortfalls alone; (0, 0) of rigs that meet all requirements."""
 
-        refuted_by = np.full(len(poses), -1, np.int64)
-        certificates = np.full((len(poses), CERTIFICATES), -1, np.int64)
-        for trial, (cost, worst, cut) in zip(trials.tolist(), self._pool.map(one, trials.tolist()), strict=True):
-            out[trial] = cost
-            certificates[trial, : len(worst)] = worst
-            self._evaluated(1)
-            self.cuboids += self._region.included.size * cut
-            self.segments += self._segments * (cut > 0)
-            if cost < np.inf:
-                self.full_evaluations += len(self._cases)
-            elif len(worst):
-                refuted_by[trial] = worst[0]
-        if len(self._certificates):
-            core.promote_certificates(self._certificates, source, refuted_by)
-        alone = np.full(len(poses), -1)
-        found = _Remembered(source, poses, certificates, self._links[:0, 0], self._clear[:0, 0], alone)
-        self._remember(out, found)
-        criterion.learn()
-        return out
+        def one(rig: Draws, limit: tuple[float, float]) -> Cost:
+            shortfall = judge.shortfall(rig, max(limit[0], LEAST))
+            if shortfall > 0:
+                return Cost(min(shortfall, SHORTFALL_MOST) if math.isfinite(shortfall) else math.inf, math.inf)
+            return Cost(0.0, 0.0)
 
-    def _worst(self, criterion: Criterion, trial: Trial) -> Index:
-        """A certificate in each of the worst subspaces of the cases that were cut into any."""
-        values = [np.empty(0)]
-        certificates = [np.empty(0, np.int64)]
-        for case, one in enumerate(criterion.cases(trial)):
-            if one.is_cut:
-                values.append(one.weighted_vsr_m)
-                i, j, k = np.unravel_index(one.first, self._region.shape)
-                first = case * 64 * self._grid.rows
-                certificates.append(first + cuboid_number(self._grid, (i, j, k)))
-        worst = np.argsort(-np.concatenate(values), kind="stable")[:CERTIFICATES]
-        return np.concatenate(certificates)[worst]
+        run = map if self._threads == 1 else self._pool.map
+        return np.array(list(run(one, judge.rigs(poses), limits.tolist()))).reshape(-1, 2)
 
-    def _max_vsr(
-        self,
-        poses: Array,
-        source: Index,
-        source_poses: Array,
-        upper_bound: Array,
-        in_full: bool = True,
-        smoothing: float = 0.0,
-    ) -> tuple[Array, int]:
-        """(n,) max VSR or inf, and how many were evaluated in full; NaN where that was needed, but not `in_full`."""
-        count = len(poses)
-        moved = np.ones(poses.shape[:2], bool)
-        same_position = np.zeros(poses.shape[:2], bool)
-        certificates = np.full((count, CERTIFICATES), -1, np.int64)
-        if np.isfinite(upper_bound).any():
-            self._sync(source_poses)
-            certificates = self._certificates[source]
-            if len(self._links):
-                differs = poses != source_poses[source]
-                moved = differs.any(axis=2)
-                same_position = ~differs[..., :3].any(axis=2) & (len(self._clear) > 0)
-                self._recompute_links(np.unique(source[(~moved | same_position).any(axis=1)]))
-        batch = core.Batch(
-            placed=self._placed(poses),
-            upper_bound=upper_bound,
-            moved=moved,
-            source=source,
-            certificates=certificates,
-            links=self._links,
-            same_position=same_position,
-            clear=self._clear,
-            smoothing=smoothing,
-        )
-        remembered = sum(len(one.links) for one in self._remembered)
-        fits = len(self._links) > 0 and (remembered + count) * self._link_bytes <= self._cache_bytes
-        alone = np.where((moved.sum(axis=1) == 1) & fits, moved.argmax(axis=1), -1)
-        result = core.BatchResult(
-            cost=np.full(count, np.inf),
-            refuted_by=np.full(count, -1, np.int64),
-            certificates=np.full_like(certificates, -1),
-            links=np.empty((fits * count, *self._links.shape[2:]), np.uint64),
-            clear=np.empty((fits * count * (len(self._clear) > 0), *self._clear.shape[2:]), np.uint64),
-        )
-
-        def run(counter: Counter, most: int, workspace: core.TrialEvaluator) -> tuple[int, int, int]:
-            return workspace.evaluate_batch(counter, most, batch, in_full, result)
-
-        on_begun = self.on_evaluated if in_full else None
-        done = parallel_for(self._pool, self._workspaces, count, self.slice, run, on_begun)
-        evaluated, compared, cast = (sum(counts) for counts in zip((0, 0, 0), *done, strict=True))
-        self.segments += cast
-        nx, ny, nz = self._region.shape
-        self.cuboids += evaluated * nx * ny * nz + compared * min(nx, 64)
-        if len(self._certificates):
-            core.promote_certificates(self._certificates, source, result.refuted_by)
-        found = _Remembered(source, poses, result.certificates, result.links, result.clear, alone)
-        self._remember(result.cost, found)
-        return result.cost, evaluated
-
-    def _remember(self, cost: Array, found: _Remembered) -> None:
-        """Remember those trials that were not refuted."""
-        trials = np.flatnonzero(cost < np.inf)
-        links, clear = (words[trials] if len(words) else words for words in (found.links, found.clear))
-        self._remembered.append(
-            _Remembered(
-                found.source[trials],
-                found.poses[trials],
-                found.certificates[trials],
-                links,
-                clear,
-                found.moved[trials],
-            )
-        )
-        while sum(len(one.source) for one in self._remembered) > REMEMBERED:
-            self._remembered.popleft()
-
-    def _evaluated(self, count: int) -> None:
-        if self.on_evaluated:
-            self.on_evaluated(count)
-
-    def _placed(self, poses: Array) -> core.Placed:
-        """The LiDARs at poses (n, lidars, 6)."""
-        cones = np.empty((*poses.shape[:2], FIRST + self._square.shape[1]))
-        cones[..., :3] = poses[..., :3]
-        cones[..., 3:FIRST] = up(poses[..., 3:])
-        cones[..., FIRST:] = self._square
-        if self._visibility is None:
-            return core.Placed(cones, np.empty((len(poses), 0, LIMITS)), UNLIMITED_SIGHT.obstacles)
-        limits = self._visibility.limits(self._lidars, level(poses[..., 3:]))
-        return core.Placed(cones, limits, self._visibility.obstacles)
-
-    @property
-    def _link_bytes(self) -> int:
-        """The bytes of a LiDAR's links and what is clear of it."""
-        return 8 * self._grid.rows * (4 if self._visibility else 3)
-
-    @cached_property
-    def _workspaces(self) -> list[core.TrialEvaluator]:
-        """One for each thread."""
-        return [core.TrialEvaluator(self._grid, self._cases, CERTIFICATES) for _ in range(self._threads)]
-
-    def _sync(self, source_poses: Array) -> None:
-        """Bring the certificates of the food sources up to date."""
-        if len(self._poses) != len(source_poses):
-            self._poses = np.full_like(source_poses, np.nan)
-            self._linked_poses = np.full_like(source_poses, np.nan)
-            self._certificates = np.full((len(source_poses), CERTIFICATES), -1, np.int64)
-            fits = len(source_poses) * len(self._lidars) * self._link_bytes <= self._cache_bytes
-            self._links = np.empty((len(source_poses) * fits, *self._links.shape[1:]), np.uint64)
-            clear = len(self._links) if self._visibility else 0
-            self._clear = np.empty((clear, *self._clear.shape[1:]), np.uint64)
-        changed = (self._poses != source_poses).any(axis=(1, 2))
-        self._certificates[changed] = -1
-        if not changed.any():
-            return
-        for one in self._remembered:
-            new = np.flatnonzero(one.source < len(source_poses))
-            row = one.source[new]
-            new = new[changed[row] & (one.poses[new] == source_poses[row]).all(axis=(1, 2))]
-            self._certificates[one.source[new]] = one.certificates[new]
-            self._reuse_links(one, new[one.moved[new] >= 0])
-        self._remembered.clear()
-        self._poses = source_poses.copy()
-
-    def _reuse_links(self, found: _Remembered, trials: Index) -> None:
-        """Take the links of the LiDAR that moved from trials that some food sources have moved to."""
-        differs = (self._linked_poses[found.source[trials]] != found.poses[trials]).any(axis=2)
-        trials = trials[differs[np.arange(len(trials)), found.moved[trials]] & (differs.sum(axis=1) == 1)]
-        row = found.source[trials]
-        lidar = found.moved[trials]
-        self._links[row, lidar] = found.links[trials]
-        if len(self._clear):
-            self._clear[row, lidar] = found.clear[trials]
-        self._linked_poses[row] = found.poses[trials]
-
-    def _recompute_links(self, sources: Index) -> None:
-        """Bring the links of some other food sources up to date."""
-        stale = sources[(self._linked_poses[sources] != self._poses[sources]).any(axis=(1, 2))]
-        poses = self._poses[stale]
-        linked_poses = self._linked_poses[stale]
-        changed = (linked_poses != poses).any(axis=2)
-        same_position = (linked_poses[..., :3] == poses[..., :3]).all(axis=2)
-        known = core.Sources(
-            row=stale,
-            placed=self._placed(poses),
-            changed=changed,
-            same_position=same_position,
-            links=self._links,
-            clear=self._clear,
-        )
-
-        def run(counter: Counter, most: int, workspace: core.TrialEvaluator) -> None:
-            workspace.recompute_links(counter, most, known)
-
-        parallel_for(self._pool, self._workspaces, len(stale), self.slice, run)
-        self._linked_poses[stale] = poses
+    def shortfalls(self, poses: Array) -> tuple[float, ...]:
+        """Of one rig's poses (slots, 6), for each requirement in turn."""
+        assert self._judge
+        return self._judge.shortfalls(self._judge.rigs(poses[None])[0])

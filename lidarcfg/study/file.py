@@ -34,9 +34,9 @@ from lidarcfg.solvers.solver import BUDGETS, Solver
 from lidarcfg.study.objective import Objective
 from lidarcfg.study.surfaces import SurfaceFile
 from lidarcfg.study.terms import TERMS
+from lidarcfg.study.zones import ELSEWHERE, ZoneFile
 from lidarcfg.vsr.detection import DetectionObject
 from lidarcfg.vsr.region import RegionFile
-from lidarcfg.vsr.zones import ELSEWHERE, ZoneFile
 from lidarcfg.world.vehicle import VehicleFile
 
 NONE = "none"  # a choice: no sensor

@@ -7,12 +7,12 @@ import numpy as np
 
 from lidarcfg.geometry import Array, rotations
 from lidarcfg.returns.scanners import Poses
+from lidarcfg.study.zones import Weights, weighted_vsr_m
 from lidarcfg.vsr.cones import Lidar, placed
 from lidarcfg.vsr.cones import poses as poses_of
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import Links, Subspaces, segment
 from lidarcfg.vsr.visibility import Visibility
-from lidarcfg.vsr.zones import Weights, weighted_vsr_m
 
 
 class Trial:

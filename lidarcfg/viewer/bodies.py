@@ -10,15 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.extents import Extent, extents
 from lidarcfg.study.study import Study
+from lidarcfg.study.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.viewer.colours import EXCLUDED, WORST
 from lidarcfg.viewer.mounting import poses_in_study
 from lidarcfg.vsr.cones import rig_lidars
-from lidarcfg.vsr.metric import Extent, extents, max_vsr, volume_m3, vsr_m
+from lidarcfg.vsr.metric import max_vsr, volume_m3, vsr_m
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import Subspaces, segment
 from lidarcfg.vsr.visibility import Visibility, fraction_below
-from lidarcfg.vsr.zones import ZoneVsr, max_vsr_by_zone
 
 RAISED_M = 0.002, 0.004  # above a body, so that they are seen: where bases may be, and bases
 

@@ -21,7 +21,8 @@ from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, inverse
 from lidarcfg.sensors.rig import Rig, load_rig
-from lidarcfg.study.study import Study, load_study
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import Study
 from lidarcfg.units import SECOND_NS
 from lidarcfg.viewer.rig_source import RigSource
 from lidarcfg.world.motion import Trajectory
@@ -161,7 +162,7 @@ def load_contents(
         on_warning(_first_choices(loaded))
     body = resolve_vehicle(rigs[0] if rigs else None, vehicle)
     if loaded and not rigs:
-        rigs = [loaded.rig(loaded.midpoint)]
+        rigs = [loaded.rig(loaded.space.midpoint)]
     return Contents(
         cloud=cloud,
         objects=load_objects(truth, cloud, rigs[0]) if truth else own_objects(cloud),

@@ -8,7 +8,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.report.verdict import conclusion, demanded, quantity, signed, worst_place
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.study.evaluation import detection_rates
+from lidarcfg.study.detection import detection_rates
 from lidarcfg.study.study import Study
 from lidarcfg.viewer.bodies import (
     base_discs_m,

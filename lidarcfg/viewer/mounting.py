@@ -20,7 +20,7 @@ def mirrored_pairs(study: Study, rig: Rig) -> list[tuple[int, int, float]]:
     """A sensor, its mirror image and the y of the plane between them; none for a rig with other sensors."""
     if not has_its_sensors(study, rig):
         return []
-    return [(i - 1, i, y_m) for i, y_m in enumerate(study.mirror.tolist()) if not np.isnan(y_m)]
+    return [(i - 1, i, y_m) for i, y_m in enumerate(study.space.mirror.tolist()) if not np.isnan(y_m)]
 
 
 def has_its_sensors(study: Study, rig: Rig) -> bool:
@@ -39,6 +39,7 @@ def poses_in_study(study: Study, rig: Rig) -> Array:
 def violations(study: Study, rig: Rig) -> list[str]:
     """Which of the study's bounds and constraints a rig violates, in words; none for a rig with other sensors."""
     found: list[str] = []
+    space = study.space
     poses = poses_in_study(study, rig)
     if not len(poses):
         return found
@@ -48,15 +49,15 @@ def violations(study: Study, rig: Rig) -> list[str]:
         if surface:
             found += [
                 f"{mount.name}: {text}"
-                for text in _surface_violations(surface, poses[i], study.lower[i], study.upper[i])
+                for text in _surface_violations(surface, poses[i], space.lower[i], space.upper[i])
             ]
-        elif np.isnan(study.mirror[i]):
-            found += [f"{mount.name}: {text}" for text in _bound_violations(poses[i], study.lower[i], study.upper[i])]
+        elif np.isnan(space.mirror[i]):
+            found += [f"{mount.name}: {text}" for text in _bound_violations(poses[i], space.lower[i], space.upper[i])]
         else:
-            image = poses[i - 1] * (1, -1, 1, -1, 1, -1) + (0, 2 * study.mirror[i], 0, 0, 0, 0)
+            image = poses[i - 1] * (1, -1, 1, -1, 1, -1) + (0, 2 * space.mirror[i], 0, 0, 0, 0)
             if not (_is_close(poses[i, :3], image[:3]) and _is_close(up(poses[i, 3:]), up(image[3:]))):
                 found.append(
-                    f"{mount.name}: is not the mirror image of {rig.mounts[i - 1].name} in y = {study.mirror[i]:g} m"
+                    f"{mount.name}: is not the mirror image of {rig.mounts[i - 1].name} in y = {space.mirror[i]:g} m"
                 )
         if tilt_deg[i] > study.constraints.max_tilt_deg + TOLERANCE:
             found.append(f"{mount.name}: tilt {tilt_deg[i]:.2f}° is above {study.constraints.max_tilt_deg:g}°")
@@ -182,8 +183,8 @@ def _attitude(study: Study, number: int, rpy_rad: Array) -> Array:
         tilted = rotation(leaning(up(rpy_rad), np.zeros(())))
         turn = tilted.T @ rotation(rpy_rad)
         return np.array([0.0, 0.0, math.atan2(turn[1, 0], turn[0, 0])])
-    low = study.lower[number, 3:5]
-    high = study.upper[number, 3:5]
+    low = study.space.lower[number, 3:5]
+    high = study.space.upper[number, 3:5]
     sides = np.array([-1.0 if surface.is_image else 1.0, 1.0])  # an image's roll is the other way round
     tilt = [
         _bounded(*bounds) for bounds in zip((sides * rpy_rad[:2]).tolist(), low.tolist(), high.tolist(), strict=True)

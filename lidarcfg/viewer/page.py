@@ -16,6 +16,7 @@ from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.report.misses import COLOURS as MISSED
 from lidarcfg.requirements.verify import Verifier
+from lidarcfg.returns.scanners import scanners_of
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.study.evaluation import WORST
 from lidarcfg.study.study import Study
@@ -286,7 +287,7 @@ def _mount(mount: Mount) -> dict[str, Any]:
 def _counts_misses(study: Study, rig: Rig) -> bool:
     """Whether there is a vehicle around which misses are counted, and the sensors' files say how they fire."""
     try:
-        return study.misses is not None and bool(study.scanners(rig.mounts))
+        return study.misses is not None and bool(scanners_of(rig.mounts))
     except ConfigError:
         return False
 
@@ -308,7 +309,7 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         "excluded": packed_quads(faces(study.region, ~study.region.included)),
         "bounds": [
             {"min_m": low[:3].tolist(), "max_m": high[:3].tolist()}
-            for low, high, mirror in zip(study.lower, study.upper, study.mirror, strict=True)
+            for low, high, mirror in zip(study.space.lower, study.space.upper, study.space.mirror, strict=True)
             if np.isnan(mirror)
         ]
         if ours

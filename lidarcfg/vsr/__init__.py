@@ -1,17 +1,19 @@
 """VSR: the measure of the paper, Liu, Arief and Zhao (2018), and nothing else.
 
-The paper in a call, `max_vsr` in `metric`:
+A rig's cost, `max_vsr(region, lidars)`, is these lines, which evaluations and searches run, too:
 
-    subspaces = segment(region, lidars)  # cuboids -> labels by the cones of beams -> connected subspaces
-    return vsr_m(subspaces).max()  # the largest volume-to-surface ratio
+    cones = cone_rows(lidars)                  # a beam that spins is a cone about the axis of its LiDAR (II-A)
+    labels = compare_labels(region, lidars)    # cuboids differ from neighbours where a cone passes between (III-B)
+    subspaces = connect(labels)                # neighbours of equal labels: no beam enters them (III-C)
+    vsr = volume_m3(subspaces) / surface_m2(subspaces)    # of each, counted in faces of cuboids (eq. 7 and 8)
+    cost = vsr.max()                           # of the largest gap (eq. 10)
 
-`evaluate` calls the same two functions; searches compute the same numbers trial by trial, in C++, and end with them.
+`segment` is the first three, and takes what LiDARs cannot see into account. A search computes the same numbers trial by
+trial, in C++.
 
 To read in this order: `region` cuts the space around the vehicle into cuboids; `cones` finds between which beams of a
 LiDAR a point lies, `visibility` what the LiDAR cannot see; `subspaces` connects neighbouring cuboids of the same label;
-`metric` computes the volume-to-surface ratio of each subspace, `spheres` the largest ball inside; `detection` says how
-often objects are detected. `zones` are parts of the region that weigh more; `extrapolation` finds what max VSR would be
-for ever smaller cuboids.
+`metric` computes the volume-to-surface ratio of each; `detection` says how often objects are detected.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""A LiDAR as placement sees it: cones about an axis, and the gap between two of them in which a point lies.
+"""A LiDAR as the paper sees it (II-A): cones about an axis, and the gap between two of them in which a point lies.
 
 A point p is at or above beam k when sin(elevation_k) <= a·(p − t) / |p − t|, with the position t and the axis a. The
 signed squares are compared, h |h| >= u_k |p − t|² with h = a·(p − t) and u_k = sin |sin|: no root is needed. At the
@@ -27,7 +27,7 @@ FIRST = 6  # the column of the lowest beam in a row of `cone_rows`
 
 @dataclass(frozen=True)
 class Lidar:
-    """A LiDAR as placement sees it: cones about an axis, which a rotation about that axis does not change.
+    """A LiDAR as the paper sees it: cones about an axis, which a rotation about that axis does not change.
 
     The other fields are for `Visibility`; there the rotation matters if the field of view is not all around.
     """

@@ -13,6 +13,7 @@ from lidarcfg.config.models import COORDINATE_MAX_M, Model, Position, validation
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
+from lidarcfg.world.cuboids import check_voxels, crease_lines, surface_mesh, voxel_grid
 from lidarcfg.world.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
 CUBOID_BYTES = 11  # of memory to evaluate one, measured
 CUBOID_ADDRESSES = 110  # bytes of address space reserved for one, most of them never used
-VOXEL_BYTES = 300  # of memory for one of Open3D's, and to make it
 NEAREST_M = 1e-9  # least distance of centres
 NEAREST = 1e-12  # the same relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
@@ -235,7 +235,7 @@ class Region:
         owner = number[np.ix_(*of)]
         voxels = np.argwhere(owner >= 0)
         colours = np.asarray(rgb, np.float64).reshape(-1, 3)[owner[tuple(voxels.T)]]
-        return _voxel_grid(self.min_m, voxels, edge, colours, self.min_m + shape * edge)
+        return voxel_grid(self.min_m, voxels, edge, colours, self.min_m + shape * edge)
 
     def scaled_voxel_grid(self, index: ArrayLike, rgb: ArrayLike) -> "open3d.geometry.VoxelGrid":
         """Cuboids (N, 3) by their indices as an Open3D voxel grid with a voxel for each, and colours (N, 3) in 0..1.
@@ -249,24 +249,7 @@ class Region:
         edge = float(self.cuboid_m[0])
         scale = edge / self.cuboid_m
         colours = np.asarray(rgb, np.float64).reshape(-1, 3)
-        return _voxel_grid(self.min_m * scale, chosen, edge, colours, self.max_m * scale)
-
-
-def _voxel_grid(
-    low: Array, index: NDArray[np.int64], edge: float, rgb: Array, high: Array
-) -> "open3d.geometry.VoxelGrid":
-    """Open3D's grid from a corner to another, of cubes with indices (N, 3) and colours (N, 3)."""
-    import open3d as o3d
-
-    cloud = o3d.geometry.PointCloud()
-    cloud.points = o3d.utility.Vector3dVector(low + (index + 0.5) * edge)
-    cloud.colors = o3d.utility.Vector3dVector(rgb)
-    return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(cloud, edge, low, high)
-
-
-def check_voxels(count: int) -> None:
-    """Raises LidarcfgError where memory does not hold `count` voxels of Open3D."""
-    check_memory(f"a grid of {count:,} voxels", VOXEL_BYTES * count, "use larger cuboids")
+        return voxel_grid(self.min_m * scale, chosen, edge, colours, self.max_m * scale)
 
 
 def cuboids_needed(size_m: tuple[float, ...], cuboid_m: Array) -> tuple[int, int, int]:
@@ -276,78 +259,3 @@ def cuboids_needed(size_m: tuple[float, ...], cuboid_m: Array) -> tuple[int, int
         for size, edge in zip(size_m, cuboid_m, strict=True)
     )
     return x, y, z
-
-
-Chosen = NDArray[np.bool_]  # (nx, ny, nz) which cuboids
-
-
-def surface_mesh(min_m: Array, cuboid_m: Array, chosen: Chosen) -> "open3d.geometry.TriangleMesh":
-    """The surface of some cuboids (nx, ny, nz) of a grid from `min_m` (3,): two triangles for each outer face.
-
-    Normals point outwards. Raises ConfigError where there are none.
-    """
-    _check(chosen)
-    import open3d as o3d
-
-    shape = tuple(n + 1 for n in chosen.shape)
-    faces = []
-    for axis in range(3):
-        padded = np.pad(chosen, [(1, 1) if a == axis else (0, 0) for a in range(3)]).astype(np.int8)
-        step = np.diff(padded, axis=axis)  # 1 where the set begins along the axis, −1 where it ends
-        second = (axis + 1) % 3
-        third = (axis + 2) % 3
-        for sign in (1, -1):
-            corner = np.argwhere(step == sign)
-            quad = np.repeat(corner[:, None], 4, axis=1)
-            quad[:, (1, 2), second] += 1
-            quad[:, (2, 3), third] += 1
-            faces.append(quad[:, ::-1] if sign == 1 else quad)
-    corners = np.concatenate(faces)
-    flat = np.ravel_multi_index(tuple(np.moveaxis(corners, -1, 0)), shape)
-    known, index = np.unique(flat, return_inverse=True)
-    index = index.reshape(flat.shape)
-    triangles = np.concatenate([index[:, (0, 1, 2)], index[:, (0, 2, 3)]]).astype(np.int32)
-    vertices = min_m + np.stack(np.unravel_index(known, shape), axis=1) * cuboid_m
-    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(triangles))
-    return mesh.compute_triangle_normals()
-
-
-def crease_lines(min_m: Array, cuboid_m: Array, chosen: Chosen) -> "open3d.geometry.LineSet":
-    """The edges at which the surface of some cuboids (nx, ny, nz) of a grid turns, one line a cuboid's edge.
-
-    Raises ConfigError where there are none.
-    """
-    _check(chosen)
-    import open3d as o3d
-
-    shape = tuple(n + 1 for n in chosen.shape)
-    starts = []
-    ends = []
-    for axis in range(3):
-        second = (axis + 1) % 3
-        third = (axis + 2) % 3
-        full = np.pad(chosen, [(0, 0) if a == axis else (1, 1) for a in range(3)])
-        around = np.stack([_shifted(full, {second: i, third: j}) for i in (0, 1) for j in (0, 1)])
-        flat = (around[0] == around[1]) & (around[2] == around[3])  # the surface is level across the edge, or absent
-        flat |= (around[0] == around[2]) & (around[1] == around[3])
-        corner = np.argwhere(~flat)
-        starts.append(corner)
-        ends.append(corner + np.eye(3, dtype=int)[axis])
-    lines = np.stack([np.concatenate(starts), np.concatenate(ends)], axis=1)
-    flat_index = np.ravel_multi_index(tuple(np.moveaxis(lines, -1, 0)), shape)
-    known, index = np.unique(flat_index, return_inverse=True)
-    points = min_m + np.stack(np.unravel_index(known, shape), axis=1) * cuboid_m
-    return o3d.geometry.LineSet(
-        o3d.utility.Vector3dVector(points), o3d.utility.Vector2iVector(index.reshape(-1, 2).astype(np.int32))
-    )
-
-
-def _shifted(full: Chosen, by: dict[int, int]) -> Chosen:
-    """All but the first or the last layer along some axes."""
-    which = [slice(by[a], full.shape[a] - 1 + by[a]) if a in by else slice(None) for a in range(3)]
-    return full[tuple(which)]
-
-
-def _check(chosen: Chosen) -> None:
-    if not chosen.any():
-        raise ConfigError("there is no cuboid to draw; at least one is needed")

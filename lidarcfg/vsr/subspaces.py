@@ -22,8 +22,9 @@ from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.vsr.cones import FIRST, Lidar, cone_rows, gaps_at
-from lidarcfg.vsr.region import Region, check_voxels
+from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.visibility import UNLIMITED_SIGHT, Sight, Visibility
+from lidarcfg.world.cuboids import check_voxels
 
 Words = NDArray[np.uint64]
 Counts = NDArray[np.int64]
@@ -98,15 +99,21 @@ class Labels(NamedTuple):
     seen: Words | None  # (lidars, rows) the cuboids that each LiDAR sees; None: all
 
 
+def segment(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> "Subspaces":
+    """Cut a region into its connected subspaces. Raises ConfigError where every cuboid is excluded."""
+    labels = compare_labels(region, lidars, visibility.sight(lidars) if visibility else UNLIMITED_SIGHT)
+    return connect(labels)
+
+
 def compare_labels(region: Region, lidars: Sequence[Lidar], sight: Sight = UNLIMITED_SIGHT) -> Labels:
     """Compare the labels of neighbouring cuboids (paper, III-B): equal where no cone passes between their centres.
 
     Raises LidarcfgError where there are too many beams, or where memory does not hold the comparison.
     """
     grid = grid_of(region)
-    cones = cone_rows(lidars)
+    cones = cone_rows(lidars)  # a beam that spins is a cone about its LiDAR's axis (II-A)
     check_grid(grid, len(cones), cones.shape[1] - FIRST)
-    seen = _seen(grid, cones, sight) if len(sight.limits) else None
+    seen = _seen(grid, cones, sight) if len(sight.limits) else None  # beyond the paper: what bodies hide
     links = np.empty((grid.rows, 3), np.uint64)
     core.links(grid, cones, np.empty((0, grid.rows), np.uint64) if seen is None else seen, links)
     return Labels(region, lidars, grid, links, seen)
@@ -194,12 +201,6 @@ class Subspaces:
         span = np.ptp(value) or 1.0
         level = ((value - value.min()) / span)[self.label[tuple(index.T)]]
         return index, np.stack([level, 0.2 + 0 * level, 1 - level], axis=1)
-
-
-def segment(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> Subspaces:
-    """Cut a region into its connected subspaces. Raises ConfigError where every cuboid is excluded."""
-    sight = visibility.sight(lidars) if visibility else UNLIMITED_SIGHT
-    return connect(compare_labels(region, lidars, sight))
 
 
 def connect(labels: Labels) -> Subspaces:

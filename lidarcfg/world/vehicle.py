@@ -21,6 +21,7 @@ from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
+from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.mesh_source import Triangles
 from lidarcfg.world.meshes import Mesh
 from lidarcfg.world.scene import Scene, build_scene
@@ -180,6 +181,11 @@ class Vehicle:
         """A tracer of its bodies."""
         vertices = self.scene.mesh()[0]
         return Tracer(self.scene, 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+
+    @cached_property
+    def footprint(self) -> Footprint:
+        """The footprint of its bodies."""
+        return Footprint.of(self.scene.mesh())
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:

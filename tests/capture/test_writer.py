@@ -8,7 +8,7 @@ import open3d
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import in_time_order, simulated_frames
+from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.manifest import load_manifest
 from lidarcfg.capture.pcap import read_datagrams, write_pcap
 from lidarcfg.capture.writer import Writer
@@ -63,7 +63,7 @@ def driven() -> Trajectory:
 def exported(path, rig, seconds, at=None):
     """The capture of an export in the street."""
     at = np.eye(4) if at is None else at
-    write_pcap(path, in_time_order(simulated_frames(rig, load_scene(STREET), at, round(seconds * SECOND_NS))))
+    write_pcap(path, in_time_order(simulated_packets(rig, load_scene(STREET), at, round(seconds * SECOND_NS))))
     return path.read_bytes()
 
 

@@ -30,7 +30,7 @@ from lidarcfg.search.sweep import sweep
 from lidarcfg.search.sweep_plan import load_plan
 from lidarcfg.search.workers import Cluster, Processes
 from lidarcfg.sensors.rig import load_rig
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from tests.command_line import lidarcfg as command
 from tests.search.test_requirements_search import CHOICE
 

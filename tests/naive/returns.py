@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from lidarcfg.returns import counts as placement
+from lidarcfg.returns import counts
 
 
 def hit_m(origin, direction, corners):
@@ -68,6 +68,6 @@ def probability(counts, enough):
 
 def missed(places, target, scanners, poses, obstacles, enough):
     """Place by place, how likely it is that an object is missed, by all counts, which are known to be right."""
-    found = placement.returns(places, target, scanners, poses, obstacles, 1)
+    found = counts.returns(places, target, scanners, poses, obstacles, 1)
     rows = [[counts[s, :count].tolist() for s, count in enumerate(found.phases)] for counts in found.counts]
     return [1.0 - probability(one, enough) for one in rows]

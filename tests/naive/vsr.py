@@ -1,4 +1,4 @@
-"""Plain-loop twins of the placement kernels, written from the paper's text, and the released program's rule.
+"""Plain-loop twins of the kernels of VSR, written from the paper's text, and the released program's rule.
 
 Below them those of casting: triangles made ready, and what of them beams can meet.
 """

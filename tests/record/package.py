@@ -23,12 +23,14 @@ from lidarcfg.core import viewer
 from lidarcfg.geometry import pose
 from lidarcfg.report.inputs import report_inputs
 from lidarcfg.returns.counts import returns
+from lidarcfg.returns.scanners import scanners_of
 from lidarcfg.search.front import front
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.solvers.annealing import Annealing
 from lidarcfg.solvers.search import Coordinates, of_objectives
+from lidarcfg.study.criterion import objective_of
+from lidarcfg.study.objective_costs import ObjectiveCosts
 from lidarcfg.study.study import with_solver
-from lidarcfg.study.study_evaluator import StudyEvaluator
 from lidarcfg.units import START_NS
 from lidarcfg.vsr.cones import poses as sensor_poses
 from lidarcfg.vsr.cones import rig_lidars
@@ -45,9 +47,9 @@ __all__ = [
     "START_NS",
     "Annealing",
     "Coordinates",
+    "ObjectiveCosts",
     "Region",
     "Rig",
-    "StudyEvaluator",
     "Tracer",
     "Trajectory",
     "build_path",
@@ -64,6 +66,7 @@ __all__ = [
     "load_scene",
     "load_study",
     "load_vehicle",
+    "objective_of",
     "of_objectives",
     "optimize",
     "packets",
@@ -74,6 +77,7 @@ __all__ = [
     "revolutions",
     "rig_lidars",
     "rig_of",
+    "scanners_of",
     "seen_cuboids",
     "segment",
     "sensor_poses",

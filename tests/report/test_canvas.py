@@ -10,7 +10,7 @@ from lidarcfg.report.canvas import drawing, number_places, spread
 from lidarcfg.report.drawings import draw_rig
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 
 ROOT = Path(__file__).parents[2]
 

@@ -13,9 +13,9 @@ from lidarcfg.report.inputs import report_inputs
 from lidarcfg.report.rig_report import Commands
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
-from lidarcfg.vsr.extrapolation import Extrapolated
-from lidarcfg.vsr.spheres import largest_spheres
+from lidarcfg.study.extrapolation import Extrapolated
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.spheres import largest_spheres
 from tests.command_line import lidarcfg
 from tests.report.test_report import STUDY, read
 

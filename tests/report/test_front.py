@@ -13,7 +13,8 @@ from lidarcfg.report.search_log import load_log
 from lidarcfg.search.front import front
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 from tests.command_line import lidarcfg, without_drawing
 
 pytestmark = pytest.mark.slow

@@ -56,7 +56,7 @@ def test_cells_are_means_by_hand():
 def test_cells_sum_up_to_the_mean(tmp_path):
     """By plain loops over the places of a real rig: each cell, and from all of them the mean again."""
     study = study_of(tmp_path, STUDY)
-    misses = study.misses.found(study.rig(study.midpoint).mounts)
+    misses = study.misses.found(study.rig(study.space.midpoint).mounts)
     cells = missed_map(misses, 0.5)
     weight, missed = {}, {}
     for one, part in zip(misses.objects, (2 / 3, 1 / 3), strict=True):
@@ -102,7 +102,7 @@ def test_the_sentence_by_hand(tmp_path, own, other, said):
     study = study_of(tmp_path, STUDY)
     rigs = [
         SeenBy(title, study.rig(pose), found(("a", 1.0, [(n, 0, n < missed) for n in range(100)])))
-        for title, pose, missed in (("this rig", study.lower, own), ("baseline", study.upper, other))
+        for title, pose, missed in (("this rig", study.space.lower, own), ("baseline", study.space.upper, other))
     ]
     (line,) = misses_lines(study, rigs)
     assert line.startswith(said)
@@ -111,7 +111,7 @@ def test_the_sentence_by_hand(tmp_path, own, other, said):
 def test_the_same_rig_is_said_to_be_the_same(tmp_path):
     study = study_of(tmp_path, STUDY)
     misses = found(("a", 1.0, [(n, 0, n < 10) for n in range(100)]))
-    rigs = [SeenBy(title, study.rig(study.midpoint), misses) for title in ("this rig", "best plain rig")]
+    rigs = [SeenBy(title, study.rig(study.space.midpoint), misses) for title in ("this rig", "best plain rig")]
     assert misses_lines(study, rigs) == ["This rig is the best plain rig. It misses 10.00 %."]
     texts = misses_table(rigs).texts
     assert texts[-1][:2] == ["mean", texts[0][1]]
@@ -177,10 +177,10 @@ def test_the_terminal_says_the_same(folder):
 def test_an_evaluation_beside_the_midpoint(folder):
     """What stands beside a rig without search or baseline is the midpoint; counted here once more."""
     study = study_of(folder, STUDY)
-    rig = study.rig(study.lower)
+    rig = study.rig(study.space.lower)
     rigs = rigs_seen(study, rig, evaluate(study, rig))
     assert [one.title for one in rigs] == ["this rig", "middle of the bounds"]
-    assert rigs[1].misses.mean == study.misses.found(study.rig((study.lower + study.upper) / 2).mounts).mean
+    assert rigs[1].misses.mean == study.misses.found(study.rig((study.space.lower + study.space.upper) / 2).mounts).mean
     svg = draw_misses(study.body, rigs)
     for one in rigs:
         assert f"{one.title}: misses {100 * one.misses.mean:.2f} %" in svg
@@ -198,6 +198,6 @@ def test_nothing_without_a_vehicle(folder):
     """Neither rows nor a section, and max VSR is what is minimised."""
     lines = [line for line in STUDY.splitlines() if not line.startswith(("vehicle", "  boxes", "objective"))]
     study = study_of(folder, "\n".join(lines))
-    rig = study.rig(study.midpoint)
+    rig = study.rig(study.space.midpoint)
     assert rigs_seen(study, rig, evaluate(study, rig)) == ()
     assert study.is_max_vsr

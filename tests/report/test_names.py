@@ -11,7 +11,7 @@ from lidarcfg.report.drawings import draw_rig
 from lidarcfg.report.text import summarize, truncate
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from tests.command_line import lidarcfg
 
 LONG = {kind: (kind * 60)[:190] + "-the-last" for kind in ("left", "right", "thing", "zone", "body", "rig")}

@@ -23,7 +23,7 @@ from lidarcfg.report.text import truncate
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from tests.chromium import LACKING, asked_for, browser, complaints
 from tests.command_line import lidarcfg
 
@@ -211,7 +211,7 @@ vehicle:
 def test_what_no_sensor_sees_is_said_and_drawn(tmp_path):
     """As result.json has them; the same in a comparison, which marks the rig that sees more."""
     study = make(tmp_path, STUDY.replace("sensors:", VEHICLE + "sensors:"))
-    rigs = [study.rig(study.poses(np.full((1, int(study.free.sum())), at))[0]) for at in (0.5, 0.0)]
+    rigs = [study.rig(study.space.poses(np.full((1, study.space.dimensions), at))[0]) for at in (0.5, 0.0)]
     shown = [report_inputs(study, rig, evaluate(study, rig), cheap_cuboids=100) for rig in rigs]
     save_evaluation(study, rigs[0], shown[0], tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
@@ -343,7 +343,7 @@ def test_mount_surfaces_are_said_and_drawn(tmp_path):
 """
     text = STUDY.replace("sensors:", VEHICLE + "sensors:" + mounts)
     study = make(tmp_path, text)
-    rig = study.rig(study.midpoint)
+    rig = study.rig(study.space.midpoint)
     save_evaluation(study, rig, report_inputs(study, rig, evaluate(study, rig), cheap_cuboids=100), tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
     assert "where sensors may sit on the vehicle, from above, left, right" in [label for _, label in page.labels]
@@ -361,7 +361,7 @@ def test_of_very_many_objects_those_are_drawn_that_are_detected_least(tmp_path, 
         f"  - {{name: box{n:02}, size_m: [0.5, 0.5, {0.2 * n + 0.2:.1f}], on_ground: true}}\n" for n in range(20)
     ]
     study = make(tmp_path, STUDY + "detection:\n" + "".join(objects[::-1]))
-    rig = study.rig(study.lower)
+    rig = study.rig(study.space.lower)
     found = evaluate(study, rig)
     rates = [found.detection[f"box{n:02}"].rate for n in range(20)]
     assert rates == sorted(rates)

@@ -8,7 +8,7 @@ import pytest
 from lidarcfg.errors import ConfigError
 from lidarcfg.report.search_log import load_log, save_log
 from lidarcfg.search.log import Check, Log, Record, SearchLog
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from tests.report.test_front import STUDY
 
 PLACES = {3: np.array([[1.0, 2, 0, 0.5], [4, 5, 6, 7]]), 0: np.array([[8.0, 9, 0, 1]])}

@@ -14,7 +14,8 @@ from lidarcfg.report.rig_report import skipped_facts
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 from lidarcfg.vsr.detection import mean_of
 
 pytestmark = pytest.mark.slow

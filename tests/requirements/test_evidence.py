@@ -20,7 +20,7 @@ from lidarcfg.returns.known import lowest_at
 from lidarcfg.returns.post_visibility import PostPlaces
 from lidarcfg.returns.reach import reached
 from lidarcfg.sensors.rig import load_rig
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.world.footprint import Footprint
 from tests.command_line import lidarcfg
 from tests.requirements.cases import ALL, AROUND, BODY, random_rig, requirement

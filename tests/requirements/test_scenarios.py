@@ -11,7 +11,7 @@ from lidarcfg.report.scenario import draw_scenario, save_drive
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.file import StudyFile
-from lidarcfg.study.study import load_study, study_of
+from lidarcfg.study.loading import load_study, study_of
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene

@@ -21,7 +21,7 @@ from lidarcfg.returns.reach import reached
 from lidarcfg.returns.silhouettes import MOST, Core, Silhouettes, centres_of
 from lidarcfg.returns.target import box_target
 from lidarcfg.search.optimize import optimize
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.meshes import join_meshes
 from lidarcfg.world.scene import build_scene

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
 from lidarcfg.vsr.metric import max_vsr
 
 pytestmark = pytest.mark.slow
@@ -44,7 +45,7 @@ def test_max_vsr_says_the_opposite(study):
     """The larger, the more is detected; and the reference's figures are those of the engine, the body's first."""
     assert spearmanr([one["max_vsr_m"][0] for one in RIGS], MAP).statistic == pytest.approx(0.50, abs=0.005)
     for one in (RIGS[0], RIGS[12]):
-        lidars = study.lidars(np.array(one["poses"]))
+        lidars = lidars_at(study.slots, np.array(one["poses"]))
         values = [max_vsr(study.region, lidars, study.visibility), max_vsr(study.region, lidars)]
         assert values == pytest.approx(one["max_vsr_m"], rel=2e-3)  # poses have six digits
 
@@ -53,5 +54,5 @@ def test_rigs_are_those_of_the_study(study):
     """Four sensors within its bounds, to the digits of the file."""
     poses = np.array([one["poses"] for one in RIGS])
     assert poses.shape == (23, 4, 6)
-    assert (poses >= study.lower - 1e-5).all()
-    assert (poses <= study.upper + 1e-5).all()
+    assert (poses >= study.space.lower - 1e-5).all()
+    assert (poses <= study.space.upper + 1e-5).all()

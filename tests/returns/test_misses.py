@@ -58,7 +58,7 @@ def study(folder, misses=MISSES, text=STUDY):
 
 
 def random_rigs(loaded, count, seed=3):
-    return loaded.poses(np.random.default_rng(seed).random((count, int(loaded.free.sum()))))
+    return loaded.space.poses(np.random.default_rng(seed).random((count, loaded.space.dimensions)))
 
 
 def box(low, high):

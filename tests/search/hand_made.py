@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from lidarcfg.sensors.rig import Rig, load_rig
-from lidarcfg.study.study import Study, load_study
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import Study
 
 VEHICLES = Path(__file__).parents[2] / "data/vehicles"
 PRICES = {"vlp-16": 4000, "pandar-xt32": 4500, "helios-16p": 2500, "helios-32": 5000, "os0-32": 6000, "os1-64": 9000}

@@ -7,7 +7,7 @@ from lidarcfg.requirements.verify import Verifier
 from lidarcfg.search.cheapest import cheapest
 from lidarcfg.search.requirements_search import unachievable
 from lidarcfg.sensors.rig import load_rig
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 
 pytestmark = pytest.mark.slow
 
@@ -181,7 +181,7 @@ def test_beams_that_start_ahead_of_a_sensor_reach_farther(tmp_path):
     values = {"region": REGION, "sensors": [{"model": "arm.yaml", "min": pose, "max": pose}], "requirements": [box]}
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(values))
     study = load_study(tmp_path / "study.yaml")
-    assert Verifier(study.requirements).verify(study.rig(study.lower).mounts).passed
+    assert Verifier(study.requirements).verify(study.rig(study.space.lower).mounts).passed
     assert unachievable(study) == {}
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(values | {"requirements": [box | {"returns": 2000}]}))
     assert "at most" in unachievable(load_study(tmp_path / "study.yaml"))["box"]

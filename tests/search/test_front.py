@@ -11,7 +11,9 @@ from lidarcfg.search.combinations import combinations
 from lidarcfg.search.front import FrontRun, front, on_front, required_growth
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.sensor import load_sensor
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.criterion import objective_of
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 from tests.naive import vsr as naive
 from tests.studies import study_of
 
@@ -85,9 +87,9 @@ def test_with_a_height_to_choose_it_is_what_a_fine_grid_gives(tmp_path):
     loaded = study(tmp_path, sensors, "method: annealing, evaluations: 3000, seed: 2")
     expected = []
     for one in combinations(loaded):
-        dimensions = int(one.study.free.sum())
-        poses = one.study.poses(np.linspace(0, 1, 601)[:, None] if dimensions else np.empty((1, 0)))
-        expected += [(one.price, one.study.cost(row)) for row in poses]
+        dimensions = one.study.space.dimensions
+        poses = one.study.space.poses(np.linspace(0, 1, 601)[:, None] if dimensions else np.empty((1, 0)))
+        expected += [(one.price, objective_of(one.study, row)) for row in poses]
     assert pairs_of(front(loaded, threads=2)) == undominated(expected)
 
 
@@ -123,7 +125,7 @@ def test_each_search_is_the_ordinary_one(tmp_path):
         assert alone.objective == one.own.best_cost.objective >= one.objective
     for point in found.points:
         poses = [(*mount.position_m, *mount.rpy_rad) for mount in point.placement.rig.mounts]
-        assert point.combination.study.cost(np.array(poses)) == point.placement.objective
+        assert objective_of(point.combination.study, np.array(poses)) == point.placement.objective
     even = 6000 / len(found.candidates)
     assert min(point.placement.evaluations for point in found.points) > even
     assert found.dominated_evaluations < even * sum(not one.on_front for one in found.candidates)

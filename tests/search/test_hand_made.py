@@ -19,7 +19,7 @@ def test_the_cheapest_rig_is_no_dearer_than_the_one_by_hand(name):
     ((number, (x,)),) = points_by_combination(ones, [made.hand]).items()
     chosen = ones[number].study
     assert ones[number].price == made.price
-    assert Verifier(chosen.requirements).verify(chosen.rig(chosen.poses(x[None])[0]).mounts).passed
+    assert Verifier(chosen.requirements).verify(chosen.rig(chosen.space.poses(x[None])[0]).mounts).passed
 
     class FoundError(Exception):
         pass

@@ -12,8 +12,10 @@ from lidarcfg.search import misses_search
 from lidarcfg.search.misses_search import NO_BETTER
 from lidarcfg.search.optimize import optimize
 from lidarcfg.search.plain_rigs import plain_points
+from lidarcfg.study.criterion import objective_of
+from lidarcfg.study.mounting import lidars_at
+from lidarcfg.study.objective_costs import ObjectiveCosts
 from lidarcfg.study.study import with_solver
-from lidarcfg.study.study_evaluator import StudyEvaluator
 from lidarcfg.vsr.metric import max_vsr
 from tests.studies import study_of
 
@@ -45,7 +47,7 @@ def doubled_soon(monkeypatch, every=2):
 
 
 def random_poses(loaded, count, seed=6):
-    return loaded.poses(np.random.default_rng(seed).random((count, int(loaded.free.sum()))))
+    return loaded.space.poses(np.random.default_rng(seed).random((count, loaded.space.dimensions)))
 
 
 def same(one, other):
@@ -103,7 +105,7 @@ def test_no_result_is_worse_than_the_best_plain_rigs(tmp_path, seed):
     """Those that miss least at the places of the search, by all plain rigs one by one."""
     loaded = with_solver(study(tmp_path), seed=seed, evaluations=30)
     found = optimize(loaded)
-    mounts = [loaded.rig(poses).mounts for poses in loaded.poses(plain_points(loaded))]
+    mounts = [loaded.rig(poses).mounts for poses in loaded.space.poses(plain_points(loaded))]
     known = loaded.misses.known(64)
     searched = [loaded.misses.found_at(known, one).mean for one in mounts]
     best = np.argsort(searched, kind="stable")[:4]
@@ -111,7 +113,7 @@ def test_no_result_is_worse_than_the_best_plain_rigs(tmp_path, seed):
     assert found.believed.plain.objective == pytest.approx(min(fresh), rel=1e-12)
     assert found.objective <= min(fresh) * (1 + 1e-12)
     assert found.believed.midpoint.mean == pytest.approx(
-        loaded.misses.found(loaded.rig(loaded.midpoint).mounts).mean, rel=1e-12
+        loaded.misses.found(loaded.rig(loaded.space.midpoint).mounts).mean, rel=1e-12
     )
 
 
@@ -149,10 +151,10 @@ def test_with_failures_the_worst_rig_that_is_left_counts(tmp_path):
     for row in poses:
         mounts = loaded.rig(row).mounts
         left = [list(kept) for kept in combinations(mounts, len(mounts) - 1)]
-        assert loaded.cost(row) == pytest.approx(max(loaded.misses.found(one).mean for one in left), rel=1e-12)
+        assert objective_of(loaded, row) == pytest.approx(max(loaded.misses.found(one).mean for one in left), rel=1e-12)
         wanted.append(max(loaded.misses.found_at(known, one).mean for one in left))
-    with StudyEvaluator(loaded) as evaluator:
-        costs = evaluator.costs(poses, np.zeros(3, np.int64), poses[:1], np.full(3, math.inf))
+    with ObjectiveCosts(loaded) as objective:
+        costs = objective.costs(poses, np.zeros(3, np.int64), poses[:1], np.full(3, math.inf))
     np.testing.assert_allclose(costs, wanted, rtol=1e-12)
 
 
@@ -165,7 +167,7 @@ def test_with_mounting_errors_the_quantile_of_the_draws_counts(tmp_path):
         mounts = loaded.rig(row).mounts
         drawn = [loaded.misses.found(misplaced(mounts, errors)).mean for errors in loaded.robust.errors(2)]
         assert len(set(drawn)) == 4
-        assert loaded.cost(row) == pytest.approx(sorted(drawn)[2], rel=1e-9)
+        assert objective_of(loaded, row) == pytest.approx(sorted(drawn)[2], rel=1e-9)
 
 
 def tilt_deg(rpy_rad):
@@ -194,8 +196,8 @@ def test_misses_and_max_vsr_are_mixed_by_weight(tmp_path):
     found = optimize(loaded)
     for row in (*random_poses(loaded, 2), np.array([(*m.position_m, *m.rpy_rad) for m in found.rig.mounts])):
         missed = loaded.misses.found(loaded.rig(row).mounts).mean
-        gaps_m = max_vsr(loaded.region, loaded.lidars(row), loaded.visibility)
-        assert loaded.cost(row) == pytest.approx((3 * missed + gaps_m) / 4, rel=1e-12)
+        gaps_m = max_vsr(loaded.region, lidars_at(loaded.slots, row), loaded.visibility)
+        assert objective_of(loaded, row) == pytest.approx((3 * missed + gaps_m) / 4, rel=1e-12)
     assert found.objective == pytest.approx((3 * missed + gaps_m) / 4, rel=1e-9)
 
 

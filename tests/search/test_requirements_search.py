@@ -25,13 +25,14 @@ from lidarcfg.search.cheapest import cheapest
 from lidarcfg.search.combinations import combinations, distinct_combinations
 from lidarcfg.search.optimize import optimize
 from lidarcfg.search.plain_rigs import PLAIN_MAX, plain_points
-from lidarcfg.search.requirements_evaluator import SHORTFALL_MOST, RequirementsEvaluator
 from lidarcfg.search.requirements_search import unachievable
 from lidarcfg.search.run import INFEASIBLE
 from lidarcfg.search.workers import Processes
 from lidarcfg.sensors.firing import CycleBeams
 from lidarcfg.solvers.search import unbounded
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.evaluator import SHORTFALL_MOST, Evaluator
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 from tests.returns_cases import mount
 
 pytestmark = pytest.mark.slow
@@ -101,8 +102,8 @@ def test_costs_are_lexicographic(study):
     """Shortfall first; misses count among rigs that meet all, and no shortfall is as bad as a broken constraint."""
     text = CRATES.replace("[0.5, 0.5, 1]", "[1, 1, 1]").replace("[1, 2]", "[1, 2.5]")
     one = study(text, returns=60, lost=0, more="")
-    poses = one.poses(plain_points(one))
-    with RequirementsEvaluator(one, 1) as evaluator:
+    poses = one.space.poses(plain_points(one))
+    with Evaluator(one, 1) as evaluator:
         costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], unbounded(len(poses)))
         short = np.array([sum(evaluator.shortfalls(row)) for row in poses])
     met = short == 0
@@ -127,14 +128,14 @@ NEARER = """  - name: the same crates nearer
 
 def poses_of(study, count, seed=5):
     rng = np.random.default_rng(seed)
-    return study.poses(rng.random((count, int(study.free.sum()))))
+    return study.space.poses(rng.random((count, study.space.dimensions)))
 
 
 @pytest.mark.parametrize("lost", [0, 1])
 def test_shortfall_is_the_definition(study, lost):
     """Mean over places and cases of max(0, 1 − reached/demanded), from counts of each sensor at each place."""
     one = yard(study, lost=lost, more=NEARER)
-    judge = Shortfalls(one.requirements, one.rig(one.lower).mounts)
+    judge = Shortfalls(one.requirements, one.rig(one.space.lower).mounts)
     poses = poses_of(one, 4)
     for row, rig in zip(poses, judge.rigs(poses), strict=True):
         total = 0.0
@@ -161,8 +162,8 @@ def test_scenarios_are_tried_last(study, monkeypatch):
     """They take seconds: what the places refute is not fired at all."""
     one = yard(study, more="  - {name: crossing, scenario: cpna, speeds_km_h: [20]}")
     poses = poses_of(one, 4)
-    judge = Shortfalls(one.requirements, one.rig(one.lower).mounts)
-    places = Shortfalls(replace(one.requirements, items=one.requirements.items[:-1]), one.rig(one.lower).mounts)
+    judge = Shortfalls(one.requirements, one.rig(one.space.lower).mounts)
+    places = Shortfalls(replace(one.requirements, items=one.requirements.items[:-1]), one.rig(one.space.lower).mounts)
     known = [places.shortfall(rig) for rig in places.rigs(poses)]
     monkeypatch.setattr(ScenarioRequirement, "judge", lambda self, mounts: pytest.fail("it is fired"))
     for rig, short in zip(judge.rigs(poses), known, strict=True):
@@ -172,7 +173,7 @@ def test_scenarios_are_tried_last(study, monkeypatch):
 
 def test_base_verdict_and_search_agree(study):
     one = yard(study, returns=3, lost=1)
-    judge = Shortfalls(one.requirements, one.rig(one.lower).mounts)
+    judge = Shortfalls(one.requirements, one.rig(one.space.lower).mounts)
     poses = poses_of(one, 2)
     for row, rig in zip(poses, judge.rigs(poses), strict=True):
         verdict = Verifier(one.requirements).verify(one.rig(row).mounts)
@@ -217,11 +218,11 @@ def test_the_result_is_no_worse_than_the_best_plain_rig_of_those_that_pass_or_el
     one = study(text, returns=returns, lost=0, more="")
     points = plain_points(one)
     assert len(points) == len(np.unique(points, axis=0)) <= PLAIN_MAX
-    poses = one.poses(points)
-    assert (poses >= one.lower - 1e-12).all()
-    assert (poses <= one.upper + 1e-12).all()
+    poses = one.space.poses(points)
+    assert (poses >= one.space.lower - 1e-12).all()
+    assert (poses <= one.space.upper + 1e-12).all()
     assert (poses[1:, :, 3:5] == 0).all()  # upright
-    with RequirementsEvaluator(one, 2) as evaluator:
+    with Evaluator(one, 2) as evaluator:
         costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], unbounded(len(poses)))
     found = optimize(with_solver(one, evaluations=1), threads=2)
     assert sorted(found.log.points.tolist()) == sorted(points.tolist())
@@ -231,7 +232,7 @@ def test_the_result_is_no_worse_than_the_best_plain_rig_of_those_that_pass_or_el
     ]
     assert bool(passing) == (returns == 60)
     at = np.array([[*mount.position_m, *mount.rpy_rad] for mount in found.rig.mounts])[None]
-    with RequirementsEvaluator(one, 1) as evaluator:
+    with Evaluator(one, 1) as evaluator:
         cost = evaluator.costs(at, np.zeros(1, np.int64), at, unbounded(1))[0].tolist()
     assert cost <= min(passing or costs.tolist())
     assert found.verdict.passed == bool(passing)
@@ -274,14 +275,14 @@ def test_an_evaluator_that_knows_nothing_refutes_no_better_rig(study):
     """As after a pause: rigs that meet all, each beside one that misses hardly more."""
     text = CRATES.replace("[0.5, 0.5, 1]", "[1, 1, 1]").replace("[1, 2]", "[1, 2.5]")
     one = study(text, returns=1, lost=0, more="")
-    poses = one.poses(plain_points(one))
+    poses = one.space.poses(plain_points(one))
     index = np.zeros(1, np.int64)
-    with RequirementsEvaluator(one, 1, skip=False) as evaluator:
+    with Evaluator(one, 1, skip=False) as evaluator:
         costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], unbounded(len(poses)))
     met = np.flatnonzero((costs[:, 0] == 0) & (costs[:, 1] > 0))
     assert len(met)
     for number in met.tolist():
-        with RequirementsEvaluator(one, 1) as evaluator:
+        with Evaluator(one, 1) as evaluator:
             limit = 1.001 * costs[[number]]
             assert evaluator.costs(poses[[number]], index, poses[:1], limit)[0].tolist() == costs[number].tolist()
 
@@ -329,8 +330,8 @@ def test_the_search_looks_through_the_slit(study):
     found = optimize(one, threads=2)
     assert found.verdict.passed
     assert 0.9 < found.rig.mounts[0].position_m[0] < 1.9
-    with RequirementsEvaluator(one, 1) as evaluator:
-        poses = one.poses(plain_points(one))
+    with Evaluator(one, 1) as evaluator:
+        poses = one.space.poses(plain_points(one))
         costs = evaluator.costs(poses, np.zeros(len(poses), np.int64), poses[:1], unbounded(len(poses)))
     assert (costs[:, 0] > 0).all()  # no plain rig does
 
@@ -383,7 +384,7 @@ def test_the_cheapest_is_that_of_brute_force(study, returns):
     for option in distinct_combinations(one):
         each = option.study
         evaluations = 60 if returns == 300 else 1  # the plain rigs alone
-        rigs = [optimize(with_solver(each, evaluations=evaluations), threads=2)] if each.free.any() else []
+        rigs = [optimize(with_solver(each, evaluations=evaluations), threads=2)] if each.space.free.any() else []
         if option.price <= 13000 and any(rig.verdict.passed for rig in rigs):
             passing.append(option.price)
     if passing:

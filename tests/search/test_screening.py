@@ -5,9 +5,9 @@ import pytest
 
 from lidarcfg.returns.known import lowest_at
 from lidarcfg.search.plain_rigs import plain_points
-from lidarcfg.search.requirements_evaluator import RequirementsEvaluator
 from lidarcfg.search.screening import Screening
-from lidarcfg.study.study import load_study
+from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.study.loading import load_study
 from tests.search.test_requirements_search import YARD
 
 
@@ -28,8 +28,8 @@ def test_a_screen_and_trials_agree(study, lost):
     one = study(YARD.format(returns=30, lost=lost, more=""))
     points = plain_points(one)[:10]
     found = Screening(one.requirements).judge(one, points)
-    poses = one.poses(points)
-    with RequirementsEvaluator(one, 1) as evaluator:
+    poses = one.space.poses(points)
+    with Evaluator(one, 1) as evaluator:
         trials = np.array([evaluator.shortfalls(row) for row in poses])
     assert ((trials > 0) <= (found.shortfalls > 0)).all() if lost else found.shortfalls == pytest.approx(trials)
     crates, most = one.requirements.items
@@ -77,7 +77,7 @@ solver: {evaluations: 10}
 def test_mirrored_corners_are_among_the_plain_rigs(study):
     """All four farthest out, at each of three heights in front and at the rear: nine rigs by hand."""
     one = study(CORNERS)
-    found = {tuple(np.round(row[:, :3], 6).ravel().tolist()) for row in one.poses(plain_points(one))}
+    found = {tuple(np.round(row[:, :3], 6).ravel().tolist()) for row in one.space.poses(plain_points(one))}
     for front in (0.4, 0.7, 1.0):
         for rear in (0.4, 0.7, 1.0):
             rig = [2.3, 0.9, front, 2.3, -0.9, front, -2.3, 0.9, rear, -2.3, -0.9, rear]

@@ -11,7 +11,8 @@ from lidarcfg.search.combinations import distinct_combinations
 from lidarcfg.search.front import front
 from lidarcfg.search.optimize import optimize
 from lidarcfg.search.start_rigs import point_of, points_by_combination
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 from tests.command_line import lidarcfg
 from tests.search.test_requirements_search import CHOICE, CRATES
 
@@ -77,12 +78,12 @@ def test_a_rig_stands_where_its_point_says(study, text):
     """The way back of Study.poses, which is the witness: of random points, for sensors in any order."""
     one = study(text)
     rng = np.random.default_rng(1)
-    x = rng.random((60, int(one.free.sum())))
-    poses = one.poses(x)
-    kept = one.violation(poses) == 0
+    x = rng.random((60, one.space.dimensions))
+    poses = one.space.poses(x)
+    kept = one.space.violation(poses) == 0
     assert kept.any()
     for pose in poses[kept][:10]:
-        again = one.poses(point_of(one, renamed(one.rig(pose), rng))[None])[0]
+        again = one.space.poses(point_of(one, renamed(one.rig(pose), rng))[None])[0]
         assert sorted(map(tuple, np.round(again, 6).tolist())) == sorted(map(tuple, np.round(pose, 6).tolist()))
 
 
@@ -98,7 +99,7 @@ def test_a_rig_stands_where_its_point_says(study, text):
 )
 def test_what_is_outside_is_refused_with_its_coordinate(study, name, axis, value, said):
     one = study(BOX)
-    rig = one.rig(one.midpoint)
+    rig = one.rig(one.space.midpoint)
     point_of(one, rig)
     with pytest.raises(ConfigError) as caught:
         point_of(one, replace(moved(rig, name, axis, value), name="mine"))
@@ -109,10 +110,10 @@ def test_other_sensors_and_broken_constraints_are_refused(study):
     one = study(BOX)
     other = study(BOX.replace("fan-8", "fan-16"))
     with pytest.raises(ConfigError, match=r"its sensors are fan-16, fan-16, .*; the study's are fan-4, fan-4, fan-8"):
-        point_of(one, other.rig(other.midpoint))
+        point_of(one, other.rig(other.space.midpoint))
     near = study(BOX + "constraints: {min_distance_m: 0.5}\n")
     with pytest.raises(ConfigError, match="breaks the constraints"):
-        point_of(near, near.rig(near.midpoint))  # both on the roof are in its middle
+        point_of(near, near.rig(near.space.midpoint))  # both on the roof are in its middle
 
 
 @pytest.mark.parametrize("method", ["abc", "annealing", "auto"])
@@ -146,11 +147,11 @@ def test_a_start_belongs_to_the_combination_with_its_models(study):
     ones = distinct_combinations(one)
     for number, each in enumerate(ones):
         chosen = each.study
-        (found,) = points_by_combination(ones, [chosen.rig(chosen.midpoint)])
+        (found,) = points_by_combination(ones, [chosen.rig(chosen.space.midpoint)])
         assert found == number
     strange = study(BOX)
     with pytest.raises(ConfigError, match="no combination of the study has the sensors fan-4, fan-4, fan-8"):
-        points_by_combination(ones, [strange.rig(strange.midpoint)])
+        points_by_combination(ones, [strange.rig(strange.space.midpoint)])
 
 
 @pytest.mark.slow
@@ -158,7 +159,7 @@ def test_searches_that_choose_begin_with_a_start(study):
     """The dearest combination's rig is verified first, then the search goes down from there; and so does a front."""
     one = study(CHOICE.replace("RETURNS", "300").replace("13000", "14000"))
     dearest = distinct_combinations(one)[-1].study
-    rig = dearest.rig(dearest.midpoint)
+    rig = dearest.rig(dearest.space.midpoint)
     said = []
     found = cheapest(one, 2, lambda run: said.append(run.doing), rigs=[rig])
     assert dearest.name in said[0]
@@ -179,7 +180,7 @@ def test_the_command_begins_with_rigs(tmp_path, blank_pictures):
     done = lidarcfg(*words, "--start", "good/rig.yaml", "--resume", "out", code=2, cwd=tmp_path)
     assert "--start is for a search that begins" in done.stderr
     text = (tmp_path / "good/rig.yaml").read_text()
-    assert one.upper[0, 2] == 2
+    assert one.space.upper[0, 2] == 2
     lines = [line for line in text.splitlines() if "position_m" in line]
     (tmp_path / "high.yaml").write_text(text.replace(lines[0], "  position_m: [6, 4, 2.5]"))
     done = lidarcfg(*words, "--start", "high.yaml", code=2, cwd=tmp_path)

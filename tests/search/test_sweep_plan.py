@@ -9,7 +9,7 @@ import yaml
 from lidarcfg.errors import ConfigError
 from lidarcfg.search import sweep_plan as plans
 from lidarcfg.search.sweep_plan import load_plan
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 
 ROOT = Path(__file__).parents[2]
 STUDY = """region: {min_m: [-4, -3, 0], max_m: [4, 3, 2], cuboid_m: [1, 0.5, 0.25]}
@@ -77,7 +77,7 @@ def test_each_study_is_that_of_a_file_with_the_value_in_it(asks, tmp_path):
     expected = load_study(tmp_path / "by_hand.yaml")
     found = plan.studies.of(run.file)
     assert found.file == expected.file
-    assert (found.lower == expected.lower).all()
+    assert (found.space.lower == expected.space.lower).all()
     assert found.solver == expected.solver
     assert (found.visibility.obstacles.tree.shapes == expected.visibility.obstacles.tree.shapes).all()
 

@@ -20,7 +20,8 @@ from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.solvers import GONE, SOLVERS, solver_of
 from lidarcfg.solvers.solver import Solver
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 from tests.command_line import lidarcfg
 
 STUDY = """region: {min_m: [0, 0, 0], max_m: [4, 4, 4], cuboid_m: [1, 1, 1]}

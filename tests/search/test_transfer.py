@@ -7,7 +7,7 @@ from lidarcfg.search.combinations import combinations
 from lidarcfg.search.transfer import TRANSFERRED_MAX, Example, transferred
 from lidarcfg.solvers.cma_es import WarmStart
 from lidarcfg.solvers.search import of_objectives
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 
 STUDY = """region: {min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25]}
 prices: {vlp-16: 1, fan-4: 2}
@@ -38,7 +38,7 @@ def named(tmp_path_factory):
 )
 def test_poses_that_are_taken_over(of, x, to, expected, named):
     found = transferred(named[to], [Example(named[of], np.array(x), 0.5)], np.random.default_rng(1))
-    assert found.shape[1] == named[to].study.free.sum()
+    assert found.shape[1] == named[to].study.space.free.sum()
     assert bool(len(found)) == bool(expected)
     for row in found:
         assert row[: len(x)].tolist() in expected

@@ -22,7 +22,7 @@ from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.sensors.scan_pattern import load_scan_pattern
 from lidarcfg.sensors.sensor import load_sensor
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.vsr.cones import poses as sensor_poses
 from lidarcfg.world.tracer import NO_OBSTACLES
 from lidarcfg.world.vehicle import load_vehicle

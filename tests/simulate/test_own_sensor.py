@@ -17,7 +17,7 @@ from lidarcfg.sensors.rig import load_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.scans import most_returns, simulated_scans
 from lidarcfg.simulate.scene_drive import SceneDrive
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import no_warning

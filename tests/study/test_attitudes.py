@@ -23,14 +23,14 @@ def test_upright_is_in_the_middle_and_the_axis_is_that_of_angles_around_it(tmp_p
     """Rotations by roll, then pitch, of −90 to 90°, up to the axis's sign: the beams are symmetric."""
     found = study(tmp_path)
     x = np.random.default_rng(1).random((500, 10))
-    poses = found.poses(x)
-    assert (poses >= found.lower).all()
-    assert (poses <= found.upper).all()
+    poses = found.space.poses(x)
+    assert (poses >= found.space.lower).all()
+    assert (poses <= found.space.upper).all()
     roll, pitch = np.moveaxis((x.reshape(500, 2, 5)[..., 3:] - 0.5) * np.pi, -1, 0)
     axis = np.stack([np.sin(pitch) * np.cos(roll), -np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=-1)
     along = (up(poses[..., 3:]) * axis).sum(axis=-1)
     assert np.abs(along) == pytest.approx(np.ones((500, 2)), abs=1e-8)  # 3.1415 is not quite half a turn
-    place = found.lower[:, :3] + x.reshape(500, 2, 5)[..., :3] * (found.upper - found.lower)[:, :3]
+    place = found.space.lower[:, :3] + x.reshape(500, 2, 5)[..., :3] * (found.space.upper - found.space.lower)[:, :3]
     assert poses[..., :3] == pytest.approx(place, abs=1e-12)
 
 
@@ -39,7 +39,7 @@ def test_a_small_step_is_a_small_turn_everywhere_but_at_the_horizon(tmp_path):
     rng = np.random.default_rng(2)
     x = rng.uniform(0.02, 0.98, (2000, 10))
     step = rng.uniform(-0.01, 0.01, x.shape)
-    before, after = (up(found.poses(at)[..., 3:]) for at in (x, x + step))
+    before, after = (up(found.space.poses(at)[..., 3:]) for at in (x, x + step))
     assert np.abs((before * after).sum(axis=-1)).min() > np.cos(0.02 * np.pi)
 
 
@@ -50,7 +50,7 @@ def test_every_pose_between_the_bounds_is_one_of_some_point(tmp_path):
     x = np.full((len(roll), 10), 0.5)
     x[:, 3] = roll
     x[:, 4] = pitch
-    angles = found.poses(x)[:, 0, 3:5] / 3.1415
+    angles = found.space.poses(x)[:, 0, 3:5] / 3.1415
     assert np.unique(np.rint((angles - 0.0125) * 40), axis=0).shape == (1600, 2)
 
 
@@ -68,8 +68,8 @@ def test_every_pose_between_the_bounds_is_one_of_some_point(tmp_path):
 def test_otherwise_coordinates_go_from_bound_to_bound(tmp_path, changes):
     """The paper's solver has the paper's coordinates; other beams or bounds leave no symmetry to make use of."""
     found = study(tmp_path, **changes)
-    x = np.random.default_rng(3).random((20, int(found.free.sum())))
-    poses = found.poses(x)
-    low, high = found.lower[found.free], found.upper[found.free]
-    assert poses[:, found.free] == pytest.approx(low + x * (high - low), abs=1e-12)
-    assert found.poses(np.ones_like(x[:1]))[0].tolist() == found.upper.tolist()
+    x = np.random.default_rng(3).random((20, found.space.dimensions))
+    poses = found.space.poses(x)
+    low, high = found.space.lower[found.space.free], found.space.upper[found.space.free]
+    assert poses[:, found.space.free] == pytest.approx(low + x * (high - low), abs=1e-12)
+    assert found.space.poses(np.ones_like(x[:1]))[0].tolist() == found.space.upper.tolist()

@@ -12,8 +12,10 @@ import yaml
 from lidarcfg.config.models import load
 from lidarcfg.errors import ConfigError
 from lidarcfg.search.combinations import combinations
+from lidarcfg.study.criterion import objective_of
 from lidarcfg.study.file import StudyFile
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
 from lidarcfg.vsr.metric import max_vsr
 from tests.refusals import exchanged, refused
 from tests.studies import study_of
@@ -72,7 +74,7 @@ def test_a_combination_is_the_study_that_its_file_describes(tmp_path):
         assert again.slots == one.study.slots
         assert again.file == one.study.file
         for key in ("lower", "upper", "mirror"):
-            np.testing.assert_array_equal(getattr(again, key), getattr(one.study, key))
+            np.testing.assert_array_equal(getattr(again.space, key), getattr(one.study.space, key))
 
 
 @pytest.mark.parametrize(
@@ -149,10 +151,10 @@ def test_a_choice_may_be_none_where_a_sensor_may_fail(tmp_path):
     assert {one.name for one in found} == {name for name, one in whole.items() if len(one.study.slots) > 2}
     assert len(found) < len(whole)
     for one in (found[0], min(found, key=lambda one: len(one.study.slots))):
-        poses = one.study.midpoint
-        lidars = one.study.lidars(poses)
+        poses = one.study.space.midpoint
+        lidars = lidars_at(one.study.slots, poses)
         left = [max_vsr(one.study.region, some) for some in itertools.combinations(lidars, len(lidars) - 2)]
-        assert one.study.cost(poses) == pytest.approx(max(left), rel=1e-12)
+        assert objective_of(one.study, poses) == pytest.approx(max(left), rel=1e-12)
 
 
 def test_every_model_sits_on_the_surface_by_its_own_base(tmp_path):
@@ -171,8 +173,8 @@ sensors:
     radius = {"vlp-16": 0.0515, "helios-32": 0.05}
     rng = np.random.default_rng(1)
     for one in found:
-        poses = one.study.poses(rng.random((400, int(one.study.free.sum()))))
-        fits = one.study.violation(poses) == 0
+        poses = one.study.space.poses(rng.random((400, one.study.space.dimensions)))
+        fits = one.study.space.violation(poses) == 0
         assert fits.any()
         assert not fits.all()
         assert np.abs(poses[fits, :, 2] - 1.3).max() < 1e-6

@@ -8,9 +8,11 @@ import pytest
 from lidarcfg.search import sweep
 from lidarcfg.search.optimize import optimize
 from lidarcfg.solvers import annealing
-from lidarcfg.study.evaluator import Evaluator
-from lidarcfg.study.study import load_study, with_solver
-from lidarcfg.study.study_evaluator import StudyEvaluator
+from lidarcfg.study.bounded_costs import BoundedCosts
+from lidarcfg.study.criterion import objective_of
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.objective_costs import ObjectiveCosts
+from lidarcfg.study.study import with_solver
 from lidarcfg.vsr.cones import lidar
 from lidarcfg.vsr.metric import max_vsr, vsr_m
 from lidarcfg.vsr.region import Region
@@ -72,22 +74,22 @@ def test_what_a_source_takes_over_is_what_would_be_computed(tmp_path, body):
     rng = np.random.default_rng(3)
     lidars = [slot.lidar for slot in study.slots]
     every = np.arange(6)
-    x = rng.random((6, int(study.free.sum())))
-    with Evaluator(study.region, lidars, 2, visibility=study.visibility) as evaluator:
+    x = rng.random((6, study.space.dimensions))
+    with BoundedCosts(study.region, lidars, 2, visibility=study.visibility) as evaluator:
         taken_over = 0
         for cycle in range(12):
-            sources = study.poses(x)
-            step = x + np.where(study.groups == cycle % 3, rng.normal(0, 0.05, x.shape), 0.0)
+            sources = study.space.poses(x)
+            step = x + np.where(study.space.groups == cycle % 3, rng.normal(0, 0.05, x.shape), 0.0)
             trials = np.clip(step, 0, 1)
             before = evaluator._linked_poses.copy()
-            cost = evaluator.costs(study.poses(trials), every, sources, np.full(6, 10.0))
+            cost = evaluator.costs(study.space.poses(trials), every, sources, np.full(6, 10.0))
             taken_over += int(cycle > 1 and not (before == evaluator._linked_poses).all())
             x = np.where((cost < 10.0)[:, None], trials, x)
         assert taken_over
-        evaluator._sync(study.poses(x))
-        assert (evaluator._linked_poses == study.poses(x)).all()  # nothing is left to compute
-        with Evaluator(study.region, lidars, 1, visibility=study.visibility) as other:
-            other._sync(study.poses(x))
+        evaluator._sync(study.space.poses(x))
+        assert (evaluator._linked_poses == study.space.poses(x)).all()  # nothing is left to compute
+        with BoundedCosts(study.region, lidars, 1, visibility=study.visibility) as other:
+            other._sync(study.space.poses(x))
             other._recompute_links(every)
             assert (evaluator._links == other._links).all()
             assert evaluator._clear.shape == other._clear.shape == (6 * bool(body), *other._clear.shape[1:])
@@ -101,7 +103,7 @@ def test_a_deadline_is_kept_between_a_few_rigs_of_many_cuboids(tmp_path, monkeyp
     path.write_text(STUDY.format(beams=[-5, 5], count=2, limit=1000, seed=1) + robust)
     study = with_solver(load_study(path), seconds=1e-9)
     assert study.region.included.size == 12 * 16 * 12
-    monkeypatch.setattr("lidarcfg.study.evaluator.SLICE_CUBOIDS", 10_000)
+    monkeypatch.setattr("lidarcfg.study.bounded_costs.SLICE_CUBOIDS", 10_000)
     cut = optimize(study, threads=1)
     assert cut.evaluated == trials
     assert cut.objective == optimize(study, threads=1, skip=False).objective
@@ -112,7 +114,7 @@ def test_the_time_of_a_sweep_is_estimated_by_a_few_rigs_where_these_take_long(tm
     path = tmp_path / "s.yaml"
     path.write_text(STUDY.format(beams=[-5, 5], count=2, limit=1000, seed=1))
     found = []
-    monkeypatch.setattr("lidarcfg.study.evaluator.SLICE_CUBOIDS", 10_000)
+    monkeypatch.setattr("lidarcfg.study.bounded_costs.SLICE_CUBOIDS", 10_000)
     monkeypatch.setattr(sweep, "TRIAL_S", 1e-9)
     monkeypatch.setattr(sweep, "optimize", lambda *args, **keys: found.append(optimize(*args, **keys)) or found[0])
     pace = sweep.pace(load_study(path))
@@ -128,7 +130,7 @@ def test_a_search_with_a_deadline_evaluates_no_more_in_full(tmp_path, monkeypatc
     path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + robust)
     study = load_study(path)
     whole = optimize(with_solver(study, method="annealing", evaluations=800), threads=1)
-    monkeypatch.setattr("lidarcfg.study.evaluator.SLICE", 5)
+    monkeypatch.setattr("lidarcfg.study.bounded_costs.SLICE", 5)
     sliced = optimize(with_solver(study, method="annealing", evaluations=800, seconds=1e6), threads=1)
     assert history(sliced) == history(whole)
     assert sliced.full_evaluations < 1.02 * whole.full_evaluations
@@ -182,7 +184,7 @@ def test_skipping_changes_nothing_for_any_objective(tmp_path, objective, method)
         assert (run.full_evaluations, run.cuboids) == (runs[1].full_evaluations, runs[1].cuboids)
         assert run.full_evaluations < (0.7 if method == "abc" else 0.95) * trials
     poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in runs[0].rig.mounts])
-    assert study.cost(poses) == runs[0].objective
+    assert objective_of(study, poses) == runs[0].objective
 
 
 def random_poses(rng, count, lidars):
@@ -200,7 +202,7 @@ def costs(beams, lidars, **settings):
     trials = sources[source].copy()
     trials[np.arange(30), rng.integers(lidars, size=30), rng.integers(5, size=30)] += rng.normal(0, 0.2, 30)
     plain = np.array([max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in trials])
-    with Evaluator(REGION, [lidar((0, 0, 0), (0, 0, 0), sine)] * lidars, threads=2, **settings) as evaluator:
+    with BoundedCosts(REGION, [lidar((0, 0, 0), (0, 0, 0), sine)] * lidars, threads=2, **settings) as evaluator:
         upper_bound = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf))[source]
         found = [evaluator.costs(trials, source, sources, upper_bound) for _ in range(2)]
     own = [max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in sources]
@@ -248,7 +250,7 @@ def test_smoothed_costs_are_norms_of_the_worst_subspaces(beams, lidars, smoothin
     greatest = np.array([max_vsr(REGION, rig) for rig in placed])
     upper_bound = plain[:6][source] * 1.001
     expected = np.where(plain[6:] < upper_bound, plain[6:], np.inf)
-    with Evaluator(REGION, [lidar((0, 0, 0), (0, 0, 0), sine)] * lidars, threads=2) as evaluator:
+    with BoundedCosts(REGION, [lidar((0, 0, 0), (0, 0, 0), sine)] * lidars, threads=2) as evaluator:
         first = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf), smoothing)
         before = evaluator.full_evaluations
         found = [evaluator.costs(trials, source, sources, upper_bound, smoothing) for _ in range(2)]
@@ -276,13 +278,13 @@ def test_skipping_changes_nothing_in_rounds_that_smooth(tmp_path, monkeypatch, m
     monkeypatch.setattr(annealing, "SECOND_WORK", 400)
     study = with_solver(load_study(path), method="annealing", evaluations=4000)
     smoothed = []
-    asked = StudyEvaluator.costs
+    asked = ObjectiveCosts.costs
 
     def costs(self, poses, source, source_poses, upper_bound, smoothing=0.0):
         smoothed.append(smoothing)
         return asked(self, poses, source, source_poses, upper_bound, smoothing)
 
-    monkeypatch.setattr(StudyEvaluator, "costs", costs)
+    monkeypatch.setattr(ObjectiveCosts, "costs", costs)
     runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]
     assert set(smoothed) == {0.0, 1 / 32}
     for run in runs[1:]:
@@ -290,7 +292,7 @@ def test_skipping_changes_nothing_in_rounds_that_smooth(tmp_path, monkeypatch, m
         assert history(run) == history(runs[0])
         assert run.full_evaluations < 0.9 * runs[0].full_evaluations
     poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in runs[0].rig.mounts])
-    assert runs[0].objective == study.cost(poses)
+    assert runs[0].objective == objective_of(study, poses)
 
 
 @pytest.mark.parametrize(
@@ -308,13 +310,13 @@ def test_only_max_vsr_is_smoothed(tmp_path, more, smooths):
     path = tmp_path / "s.yaml"
     path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + more)
     study = load_study(path)
-    poses = study.poses(np.random.default_rng(1).random((4, int(study.free.sum()))))
+    poses = study.space.poses(np.random.default_rng(1).random((4, study.space.dimensions)))
     asked = poses, np.arange(4), poses, np.full(4, np.inf)
-    with StudyEvaluator(study, threads=2) as evaluator:
+    with ObjectiveCosts(study, threads=2) as evaluator:
         assert evaluator.smooths == smooths
         exact = evaluator.costs(*asked)
         smoothed = evaluator.costs(*asked, 1 / 32)
-    assert exact.tolist() == [study.cost(one) for one in poses]
+    assert exact.tolist() == [objective_of(study, one) for one in poses]
     assert ((smoothed > exact) if smooths else (smoothed == exact)).all()
 
 
@@ -324,7 +326,7 @@ def test_lidars_in_odd_places():
     for region in (REGION, Region.from_boxes((0, 0, 0), (6, 4, 0.25), (0.5, 0.5, 0.25))):
         for position in ((-50, 2, 1), (0.25, 0.25, 0.125), (2.5, 1.5, 0.5), (0, 0, 0)):
             pose = np.array([[[*position, 0.0, 0.0, 0.0]]])
-            with Evaluator(region, [lidar((0, 0, 0), (0, 0, 0), sine)], threads=1) as evaluator:
+            with BoundedCosts(region, [lidar((0, 0, 0), (0, 0, 0), sine)], threads=1) as evaluator:
                 cost = evaluator.costs(pose, np.zeros(1, int), pose, np.full(1, np.inf))[0]
             assert cost == max_vsr(region, [lidar(position, (0, 0, 0), sine)])
 
@@ -335,6 +337,6 @@ def test_of_many_lidars_fewer_trials_are_between_two_looks_at_the_clock():
     one = lidar((50.0, 50.0, 2.0), (0.0, 0.0, 0.0), np.sin(np.radians([-10.0, 10.0])))
     found = {}
     for count in (1, 8, 64):
-        with Evaluator(region, [one] * count, threads=1) as evaluator:
+        with BoundedCosts(region, [one] * count, threads=1) as evaluator:
             found[count] = evaluator.slice
     assert found == {1: 25, 8: 25, 64: 3}

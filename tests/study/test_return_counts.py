@@ -13,12 +13,14 @@ from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.report.describe import describe_object
 from lidarcfg.report.inputs import report_inputs
 from lidarcfg.report.results import evaluation_dict, to_json
+from lidarcfg.returns.scanners import scanners_of
 from lidarcfg.search.optimize import optimize
-from lidarcfg.study import checks
 from lidarcfg.study import return_counts as return_counts_module
+from lidarcfg.study.criterion import Criterion, objective_of
 from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
 from lidarcfg.study.return_counts import MissCounter, return_counts
-from lidarcfg.study.study import load_study
 from lidarcfg.study.trial import Trial
 from lidarcfg.vsr.cones import poses as sensor_poses
 from lidarcfg.vsr.cones import rig_lidars
@@ -57,7 +59,7 @@ def study(tmp_path, objective="max_vsr: 1", sensor="vlp-16", change=("", "")):
 
 
 def rig_of(loaded):
-    return loaded.rig(loaded.poses(np.full((1, int(loaded.free.sum())), 0.3))[0])
+    return loaded.rig(loaded.space.poses(np.full((1, loaded.space.dimensions), 0.3))[0])
 
 
 @pytest.mark.slow
@@ -147,11 +149,11 @@ def test_drawn_places_have_an_interval_that_holds_the_rate_of_many(tmp_path):
 @pytest.mark.parametrize("name", ["crate", "child"])
 def test_the_objective_is_one_minus_the_rate_and_refutes_exactly(tmp_path, name):
     loaded = study(tmp_path, f"detection: {{{name}: 2}}")
-    poses = loaded.poses(np.full((1, int(loaded.free.sum())), 0.3))[0]
-    value = loaded.cost(poses)
+    poses = loaded.space.poses(np.full((1, loaded.space.dimensions), 0.3))[0]
+    value = objective_of(loaded, poses)
     assert value == 1.0 - evaluate(loaded, loaded.rig(poses)).detection[name].rate
     one = next(one for one in loaded.detection_targets if one.item.name == name)
-    lidars = loaded.lidars(poses)
+    lidars = lidars_at(loaded.slots, poses)
     numbers = range(len(lidars))
     counter = MissCounter(one, loaded.rig(poses).mounts, loaded.obstacles)
     at = sensor_poses(lidars)
@@ -159,7 +161,7 @@ def test_the_objective_is_one_minus_the_rate_and_refutes_exactly(tmp_path, name)
         found = counter.rate(numbers, at, limit)
         assert found >= limit if value >= limit else found == value
         trial = Trial(loaded.region, lidars, loaded.visibility)
-        assert loaded.criterion().of(trial, limit) == (math.inf if value >= limit else value)
+        assert Criterion.of_study(loaded).of(trial, limit) == (math.inf if value >= limit else value)
         assert not trial.is_cut
 
 
@@ -172,7 +174,7 @@ def test_a_limit_that_no_rate_reaches_refutes_nothing(tmp_path, name, limit):
     some = np.linspace(0, len(one.places) - 1, 48).astype(int)
     one = replace(one, places=one.places[some], part=one.part[some])
     rig = rig_of(loaded)
-    scanners = loaded.scanners(rig.mounts)
+    scanners = scanners_of(rig.mounts)
     lidars = rig_lidars(rig)
     (seen,) = return_counts([one], scanners, lidars, loaded.obstacles)
     counter = MissCounter(one, rig.mounts, loaded.obstacles)
@@ -301,27 +303,6 @@ def test_objects_that_look_alike_are_counted_once_and_are_what_each_is_alone(tmp
     assert len(told) == sum(-(-count // 64) for count in counted)
 
 
-def test_what_returns_will_cost_is_said(tmp_path, monkeypatch):
-    """By a clock that counts places: a second each."""
-    monkeypatch.setattr(checks, "SAMPLES", (8,))
-    loaded = study(tmp_path)
-    done = [0.0]
-    real = checks.return_counts
-
-    def timed(objects, *more):
-        done[0] += sum(len(one.places) for one in objects)
-        return real(objects, *more)
-
-    monkeypatch.setattr(checks, "return_counts", timed)
-    monkeypatch.setattr(checks.time, "process_time", lambda: done[0])
-    lines = list(checks.study_warnings(tmp_path / "study.yaml", loaded))
-    total = sum(len(one.places) for one in loaded.detection_targets)
-    said = f"detection: 2 objects at {total} places: their returns to 2 LiDARs take about {total} s of processor time"
-    assert f"{tmp_path / 'study.yaml'}:18:1: {said}" in lines[-1]
-    monkeypatch.setattr(checks, "LONG_S", float(total))
-    assert not [line for line in checks.study_warnings(tmp_path / "study.yaml", loaded) if "processor time" in line]
-
-
 def test_more_places_than_memory_holds_are_refused_with_the_figure(tmp_path, monkeypatch):
     """By hand: 36 × 24 places at two headings; then what of them is free, to two sensors in four phases."""
     step = ("step_m: 1.5", "step_m: 0.5")
@@ -332,7 +313,7 @@ def test_more_places_than_memory_holds_are_refused_with_the_figure(tmp_path, mon
     loaded = study(tmp_path, change=step)
     rig = rig_of(loaded)
     one = loaded.detection_targets[0]
-    sensors = loaded.scanners(rig.mounts)
+    sensors = scanners_of(rig.mounts)
     lidars = rig_lidars(rig)
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 8 * 2 * 4 * len(one.places) - 1.0)
     with pytest.raises(LidarcfgError, match=r"counting the returns at 1,\d+ places to 2 sensors needs .* memory"):

@@ -13,10 +13,13 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.report.evaluation import lost_table
 from lidarcfg.requirements.robustness import Robust, mounted
 from lidarcfg.search.optimize import optimize
+from lidarcfg.study.criterion import objective_of
 from lidarcfg.study.evaluation import changes_m, robustness
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.objective_costs import rigs_of_trial
+from lidarcfg.study.study import with_solver
+from lidarcfg.study.zones import weights
 from lidarcfg.vsr.subspaces import Links
-from lidarcfg.vsr.zones import weights
 from tests.naive import robust as naive
 from tests.naive import vsr as naive_vsr
 from tests.refusals import refused
@@ -51,7 +54,7 @@ def lidars(loaded, poses):
 
 
 def random_poses(loaded, count, seed):
-    return loaded.poses(np.random.default_rng(seed).random((count, int(loaded.free.sum()))))
+    return loaded.space.poses(np.random.default_rng(seed).random((count, loaded.space.dimensions)))
 
 
 @pytest.mark.parametrize("zones", [(), ((*FRONT, 2.5),)])
@@ -60,7 +63,7 @@ def test_cost_without_lidars_is_that_of_the_worst_subset(tmp_path, lost, zones):
     loaded = study(tmp_path, f"robust: {{lost: {lost}}}\n" + ZONES * len(zones))
     for poses in random_poses(loaded, 3, lost):
         assert math.isclose(
-            loaded.cost(poses), naive.without(REGION, lidars(loaded, poses), lost, zones), rel_tol=1e-12
+            objective_of(loaded, poses), naive.without(REGION, lidars(loaded, poses), lost, zones), rel_tol=1e-12
         )
 
 
@@ -70,13 +73,13 @@ def test_cost_with_mounting_errors_is_the_quantile_of_the_draws(tmp_path, fracti
     draws = loaded.robust.errors(3).tolist()
     for poses in random_poses(loaded, 2, 5):
         expected = naive.quantile(REGION, lidars(loaded, poses), draws, fraction)
-        assert math.isclose(loaded.cost(poses), expected, rel_tol=1e-12)
+        assert math.isclose(objective_of(loaded, poses), expected, rel_tol=1e-12)
 
 
 def test_of_both_the_larger_counts(tmp_path):
     both, lost, off = (study(tmp_path, more) for more in (BOTH, "robust: {lost: 2}\n", TOLERANCES))
     for poses in random_poses(both, 3, 7):
-        assert both.cost(poses) == max(lost.cost(poses), off.cost(poses))
+        assert objective_of(both, poses) == max(objective_of(lost, poses), objective_of(off, poses))
 
 
 MAX_VSR = [
@@ -102,10 +105,10 @@ def test_skipping_changes_nothing(tmp_path, method, more):
     assert runs[1].rig == runs[0].rig
     assert [(c.cycle, c.best, c.mean) for c in runs[1].history] == [(c.cycle, c.best, c.mean) for c in runs[0].history]
     asked = runs[0].evaluations + runs[0].first_evaluations + runs[0].scout_evaluations
-    assert runs[0].full_evaluations == asked * loaded.rigs[0]
+    assert runs[0].full_evaluations == asked * rigs_of_trial(loaded)
     assert runs[1].full_evaluations < runs[0].full_evaluations
     poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in runs[0].rig.mounts])
-    assert loaded.cost(poses) == runs[0].objective
+    assert objective_of(loaded, poses) == runs[0].objective
 
 
 MODELS = """
@@ -132,7 +135,7 @@ def test_what_is_left_of_different_models_detects_by_its_own_returns(tmp_path):
         path.write_text("\n".join(rows))
         alone.append(load_study(path))
     for poses in random_poses(loaded, 3, 1):
-        assert loaded.cost(poses) == max(alone[0].cost(poses[1:]), alone[1].cost(poses[:1]))
+        assert objective_of(loaded, poses) == max(objective_of(alone[0], poses[1:]), objective_of(alone[1], poses[:1]))
     runs = [optimize(loaded, skip=skip) for skip in (False, True)]
     assert runs[0].rig == runs[1].rig
     assert runs[0].objective == runs[1].objective
@@ -183,7 +186,7 @@ def test_a_thread_holds_the_subspaces_of_one_case_at_a_time(tmp_path, monkeypatc
 @pytest.mark.parametrize(("more", "own"), [("", False), ("robust: {lost: 1}\n", False), (ZONES, True)])
 def test_the_table_of_failures_has_the_objective_where_it_is_another(tmp_path, more, own):
     loaded = study(tmp_path, more)
-    found = robustness(loaded, loaded.rig(loaded.midpoint))
+    found = robustness(loaded, loaded.rig(loaded.space.midpoint))
     table = lost_table(found, loaded)
     assert ("objective" in [column.head for column in table.columns]) == own
     for row, left in zip(table.texts, (found.whole, *found.without), strict=True):

@@ -8,8 +8,10 @@ import pytest
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.search.optimize import optimize
-from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.evaluation import evaluate, shadow
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
+from lidarcfg.study.study import with_solver
 from lidarcfg.vsr.metric import max_vsr
 from tests.refusals import exchanged, refused
 from tests.studies import study_of
@@ -40,21 +42,21 @@ def test_the_studies_that_come_with_it(path):
         count, beams = map(int, path.stem.removeprefix("liu2018-").split("x"))
         assert len(loaded.slots) == count
         assert {slot.sensor.count for slot in loaded.slots} == {beams}
-        assert loaded.lower.tolist() == [[28, 9, 2.2, 0, 0, 0]] * count
-        assert loaded.upper.tolist() == [[31, 11, 3.0, 3.1415, 3.1415, 0]] * count
-        assert loaded.free.sum() == 5 * count
+        assert loaded.space.lower.tolist() == [[28, 9, 2.2, 0, 0, 0]] * count
+        assert loaded.space.upper.tolist() == [[31, 11, 3.0, 3.1415, 3.1415, 0]] * count
+        assert loaded.space.free.sum() == 5 * count
         assert (loaded.solver.bees, loaded.solver.cycles) == (200, 800)
         assert loaded.region.included.sum() == 48000 - 960
 
 
 def test_no_lidar_of_the_sedan_can_hang_upside_down():
     loaded = load_study(STUDIES / "sedan.yaml")
-    corners = np.stack([loaded.lower, loaded.upper])
+    corners = np.stack([loaded.space.lower, loaded.space.upper])
     tilt = np.abs(corners[..., 3:5]).max(axis=0).sum(axis=1)  # roll and pitch together bound the tilt
     assert np.degrees(tilt).max() <= 31
     rng = np.random.default_rng(1)
-    for poses in loaded.poses(rng.random((100, int(loaded.free.sum())))):
-        assert min(lidar.axis[2] for lidar in loaded.lidars(poses)) > 0.85
+    for poses in loaded.space.poses(rng.random((100, loaded.space.dimensions))):
+        assert min(lidar.axis[2] for lidar in lidars_at(loaded.slots, poses)) > 0.85
 
 
 @pytest.mark.parametrize(
@@ -79,11 +81,11 @@ def test_refused(tmp_path, old, new, message):
 
 def test_fixed_coordinates_stay_and_bounds_are_reached_exactly(tmp_path):
     small = study(tmp_path)
-    free = int(small.free.sum())
+    free = small.space.dimensions
     assert free == 2 * 5 + 1
-    low, high, quarter = small.poses(np.repeat([[0.0], [1.0], [0.25]], free, axis=1))
-    assert np.array_equal(low, small.lower)
-    assert np.array_equal(high, small.upper)
+    low, high, quarter = small.space.poses(np.repeat([[0.0], [1.0], [0.25]], free, axis=1))
+    assert np.array_equal(low, small.space.lower)
+    assert np.array_equal(high, small.space.upper)
     assert quarter[2].tolist() == [6, 4, 1.75, 0, 0, 1]
 
 
@@ -113,11 +115,11 @@ def test_what_a_run_reports(tmp_path):
     assert found.scout_evaluations > 0
     assert found.evaluation.max_vsr_m == best[-1]
     poses = np.array([[*m.position_m, *m.rpy_rad] for m in found.rig.mounts])
-    assert (poses >= small.lower).all()
-    assert (poses <= small.upper).all()
-    assert max_vsr(small.region, small.lidars(poses)) == best[-1]
-    middle = (small.lower + small.upper) / 2
-    assert found.midpoint_max_vsr_m == max_vsr(small.region, small.lidars(middle))
+    assert (poses >= small.space.lower).all()
+    assert (poses <= small.space.upper).all()
+    assert max_vsr(small.region, lidars_at(small.slots, poses)) == best[-1]
+    middle = (small.space.lower + small.space.upper) / 2
+    assert found.midpoint_max_vsr_m == max_vsr(small.region, lidars_at(small.slots, middle))
     assert best[-1] < found.midpoint_max_vsr_m
     endpoints = {(m.host, m.data_port) for m in found.rig.mounts}
     assert len(endpoints) == 3
@@ -154,7 +156,7 @@ def test_nothing_free_to_move(tmp_path):
 
 def test_an_evaluation_names_the_worst(tmp_path):
     small = study(tmp_path)
-    found = evaluate(small, small.rig((small.lower + small.upper) / 2))
+    found = evaluate(small, small.rig((small.space.lower + small.space.upper) / 2))
     vsr = [worst.vsr_m for worst in found.worst]
     assert len(vsr) == 10
     assert vsr == sorted(vsr, reverse=True)
@@ -197,24 +199,27 @@ def test_coordinates_along_one_axis_within_equal_bounds_mean_the_same(tmp_path):
     other = "  - {elevation_deg: [-5, 5], min: {position_m: [5, 2, 1], rpy_deg: [0, -20, 0]}, max: {position_m: [7, 3, 2.5], rpy_deg: [0, 20, 0]}}"
     text = SMALL.replace("sensors:", "sensors:\n" + other)
     loaded = study(tmp_path, text)
-    found = loaded.coordinates
-    assert np.array_equal(found.group, loaded.groups)
-    axis = np.nonzero(loaded.free)[1]
+    found = loaded.space.coordinates
+    assert np.array_equal(found.group, loaded.space.groups)
+    axis = np.nonzero(loaded.space.free)[1]
     for i, j in itertools.combinations(range(len(found)), 2):
         a, b = (found.group[i], axis[i]), (found.group[j], axis[j])
-        alike = a[1] == b[1] and (loaded.lower[a], loaded.upper[a]) == (loaded.lower[b], loaded.upper[b])
+        alike = a[1] == b[1] and (loaded.space.lower[a], loaded.space.upper[a]) == (
+            loaded.space.lower[b],
+            loaded.space.upper[b],
+        )
         assert (found.kind[i] == found.kind[j]) == alike
 
 
 @pytest.mark.slow
 def test_mirrored_pairs_move_together(tmp_path):
     small = study(tmp_path, MIRRORED)
-    assert small.free.sum() == 5 + 1
-    poses = small.poses(np.random.default_rng(1).random((50, 6)))
+    assert small.space.free.sum() == 5 + 1
+    poses = small.space.poses(np.random.default_rng(1).random((50, 6)))
     assert poses[:, 0, 1] + poses[:, 1, 1] == pytest.approx(np.full(50, 8.0))
     assert np.array_equal(poses[:, 1, [0, 2, 4]], poses[:, 0, [0, 2, 4]])
     for rows in poses:
-        left, right, _ = small.lidars(rows)
+        left, right, _ = lidars_at(small.slots, rows)
         assert right.axis == pytest.approx(left.axis * (1, -1, 1), abs=1e-15)
     found = optimize(small, threads=1).rig.mounts
     assert found[0].position_m[1] + found[1].position_m[1] == pytest.approx(8.0)
@@ -229,7 +234,7 @@ def test_constraints_are_kept(tmp_path):
     for method in METHODS:
         found = optimize(with_solver(small, method=method, evaluations=600), threads=1).rig
         poses = np.array([[*m.position_m, *m.rpy_rad] for m in found.mounts])
-        axes = np.array([lidar.axis for lidar in small.lidars(poses)])
+        axes = np.array([lidar.axis for lidar in lidars_at(small.slots, poses)])
         assert np.degrees(np.arccos(axes[:, 2])).max() <= 12 + 1e-9
         apart = [np.linalg.norm(poses[i, :3] - poses[j, :3]) for i in range(3) for j in range(i)]
         assert min(apart) >= 0.9
@@ -239,11 +244,11 @@ def test_the_violation_by_hand(tmp_path):
     small = study(tmp_path, SMALL + "constraints: {max_tilt_deg: 10, min_distance_m: 2}\n")
     pose = np.zeros((1, 3, 6))
     pose[0, :, 0] = (0, 3, 6)
-    assert small.violation(pose).tolist() == [0.0]
+    assert small.space.violation(pose).tolist() == [0.0]
     pose[0, 1, 3] = np.radians(25)
-    assert small.violation(pose) == pytest.approx([np.radians(15)])
+    assert small.space.violation(pose) == pytest.approx([np.radians(15)])
     pose[0, 2, 0] = 4.5
-    assert small.violation(pose) == pytest.approx([np.radians(15) + 0.5])
+    assert small.space.violation(pose) == pytest.approx([np.radians(15) + 0.5])
 
 
 def test_constraints_that_nothing_keeps(tmp_path):
@@ -286,8 +291,8 @@ def test_the_shadow_of_a_wall_by_hand(tmp_path):
         "max: {position_m: [0, 0, 1], rpy_deg: [0, 0, 0]}}\n"
     )
     study = load_study(path)
-    rig = study.rig(study.midpoint)
+    rig = study.rig(study.space.midpoint)
     x, _, z = np.meshgrid(*study.region.centres(), indexing="ij")
     expected = (x > 2) & (z < 1 + x / 2)
-    assert np.array_equal(study.shadow(rig), expected)
+    assert np.array_equal(shadow(study, rig), expected)
     assert study.region.mesh(expected).get_volume() == pytest.approx(expected.sum() * 0.125)

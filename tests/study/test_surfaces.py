@@ -15,7 +15,9 @@ from lidarcfg.files import shipped
 from lidarcfg.geometry import leaning, rotation, up
 from lidarcfg.search.optimize import optimize
 from lidarcfg.search.plain_rigs import IN_STEPS, plain_points
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
+from lidarcfg.study.study import with_solver
 from lidarcfg.viewer.bodies import base_area_m, base_discs_m
 from lidarcfg.viewer.mounting import violations
 from lidarcfg.vsr.region import Region
@@ -46,7 +48,7 @@ def test_plain_rigs_are_as_far_out_as_their_surfaces_allow():
     """On the saloon's roof and fenders the ends of the bounds are beside the body."""
     loaded = load_study(shipped("data") / "studies" / "mounts.yaml")
     points = plain_points(loaded)
-    kept = loaded.violation(loaded.poses(points)) == 0
+    kept = loaded.space.violation(loaded.space.poses(points)) == 0
     assert kept.mean() > 0.7
     inside = (points[kept] > 0) & (points[kept] < 1) & (points[kept] != 0.5)
     assert inside.any()
@@ -56,7 +58,7 @@ def test_plain_rigs_are_as_far_out_as_their_surfaces_allow():
         assert share == pytest.approx(share[0])
         farther = [one for one in IN_STEPS if one > share[0] + 1e-9]
         further_out = np.where(point == 0.5, 0.5, 0.5 + np.array([1, *farther])[:, None] * np.sign(point - 0.5) / 2)
-        assert (loaded.violation(loaded.poses(further_out)) > 0).all()
+        assert (loaded.space.violation(loaded.space.poses(further_out)) > 0).all()
 
 
 def on(body, side, low, high, **more):
@@ -66,8 +68,8 @@ def on(body, side, low, high, **more):
 
 
 def random(loaded, count, seed=1):
-    unit = np.random.default_rng(seed).random((count, int(loaded.free.sum())))
-    return loaded.poses(unit)
+    unit = np.random.default_rng(seed).random((count, loaded.space.dimensions))
+    return loaded.space.poses(unit)
 
 
 def test_the_shortest_tilt_to_an_axis():
@@ -92,17 +94,17 @@ def test_on_a_roof_by_hand(tmp_path):
     loaded = study(
         tmp_path, STEP, on("cab", "above", (0, -1, 1.5), (2, 1, 2.5), standoff_m=0.08) + ", yaw_deg: [-90, 90]"
     )
-    assert loaded.free.tolist() == [[True, True, False, False, False, True]]
+    assert loaded.space.free.tolist() == [[True, True, False, False, False, True]]
     poses = random(loaded, 2000)
     assert poses[:, 0, 2] == pytest.approx(2.08, abs=1e-12)
     assert (poses[:, 0, 3:5] == 0).all()
     assert poses[:, 0, 5].min() < -1.5
     inside = (poses[:, 0, 0] > 0.05) & (poses[:, 0, 0] < 1.95) & (abs(poses[:, 0, 1]) < 0.95)
-    assert ((loaded.violation(poses) == 0) == inside).all()
+    assert ((loaded.space.violation(poses) == 0) == inside).all()
     assert inside.mean() == pytest.approx(0.95 * 0.95, abs=0.03)
     low = study(tmp_path, STEP, on("bed", "above", (-2, -1, 0), (2, 1, 3)))
     poses = random(low, 500)
-    fits = low.violation(poses) == 0
+    fits = low.space.violation(poses) == 0
     assert (poses[fits, 0, 0] < -0.05).all()  # the cab is another body
     assert poses[fits, 0, 2] == pytest.approx(1.05)
 
@@ -124,7 +126,7 @@ def test_nothing_narrow_stays_under_a_base(tmp_path):
             loaded = study(tmp_path, bodies, on("cab", "above", (0.9, -0.1, 1.5), (1.1, 0.1, 2.5), upright=upright))
             poses = random(loaded, 400)
             clear = np.linalg.norm(np.maximum(abs(poses[:, 0, :2] - (1, 0)) - away, 0), axis=1) - 0.05
-            fits = loaded.violation(poses) == 0
+            fits = loaded.space.violation(poses) == 0
             sure = abs(clear) > 0.05 / 12
             assert ((clear > 0) == fits)[sure].all()
             assert 0.2 < fits.mean() < 0.9
@@ -140,7 +142,7 @@ def test_on_a_car_as_plain_loops_have_it(tmp_path, side, upright):
     corners = vertices[triangles]
     slot = loaded.slots[0].surface
     poses = random(loaded, 20)
-    fits = loaded.violation(poses) == 0
+    fits = loaded.space.violation(poses) == 0
     axes = up(poses[:, 0, 3:])
     for pose, fit, axis in zip(poses[:, 0], fits, axes, strict=True):
         mount = np.array(naive.OUT[side]) if upright else axis
@@ -161,7 +163,7 @@ def test_along_the_normal_of_a_sphere(tmp_path, side):
     """Bases are on the sphere, and axes as near to its radius as a disc's middle to its rim."""
     loaded = study(tmp_path, ROUND, on("ball", side, (-1, -1, 0), (2, 1, 2), upright=False, step_m=0.02))
     poses = random(loaded, 400)
-    poses = poses[loaded.violation(poses) == 0][:, 0]
+    poses = poses[loaded.space.violation(poses) == 0][:, 0]
     assert len(poses) > 100
     axis = up(poses[:, 3:])
     base = poses[:, :3] - 0.05 * axis - (0.5, 0, 1)
@@ -175,7 +177,7 @@ def test_along_the_normal_of_a_slope(tmp_path):
     box = "vehicle: {boxes: [{name: box, center_m: [0, 0, 1], size_m: [2, 1, 2], yaw_deg: 30}]}\n"
     loaded = study(tmp_path, box, on("box", "left", (-0.5, 0, 0.5), (0.5, 1, 1.5), upright=False))
     poses = random(loaded, 50)
-    assert (loaded.violation(poses) == 0).all()
+    assert (loaded.space.violation(poses) == 0).all()
     normal = np.array([-math.sin(math.pi / 6), math.cos(math.pi / 6), 0])
     assert up(poses[:, 0, 3:]) == pytest.approx(np.tile(normal, (50, 1)), abs=1e-12)
     assert (poses[:, 0, :3] - (0, 0, 1)) @ normal == pytest.approx(0.5 + 0.05, abs=1e-12)
@@ -191,7 +193,7 @@ def test_a_tilt_that_a_surface_does_not_allow_is_refused_at_once(tmp_path):
         study(tmp_path, box, on(*wall, upright=False), more="constraints: {max_tilt_deg: 79}\n")
     for limit_deg, kept in ((90.001, True), (81, False)):  # within 10° of it the search decides
         loaded = study(tmp_path, box, on(*wall, upright=False), more=f"constraints: {{max_tilt_deg: {limit_deg}}}\n")
-        assert ((loaded.violation(random(loaded, 20)) == 0) == kept).all()
+        assert ((loaded.space.violation(random(loaded, 20)) == 0) == kept).all()
 
 
 @pytest.mark.slow
@@ -199,9 +201,9 @@ def test_a_pair_sits_on_both_sides(tmp_path):
     """Each on its own side of the car, whose halves differ by a millimetre; on a box, exact images."""
     group = on("body", "left", (1.2, 0.5, 0.5), (2.1, 1.1, 0.8)) + ", count: 2, mirror_y_m: 0, yaw_deg: [0, 90]"
     loaded = study(tmp_path, CAR, group)
-    assert loaded.free.tolist() == [[True, False, True, False, False, True], [False] * 6]
+    assert loaded.space.free.tolist() == [[True, False, True, False, False, True], [False] * 6]
     poses = random(loaded, 300)
-    poses = poses[loaded.violation(poses) == 0]
+    poses = poses[loaded.space.violation(poses) == 0]
     assert len(poses) > 30
     apart = poses[:, 1] - poses[:, 0] * (1, -1, 1, -1, 1, -1)
     assert abs(apart[:, [0, 2, 3, 4, 5]]).max() < 1e-12
@@ -219,9 +221,9 @@ def test_a_pair_sits_on_both_sides(tmp_path):
 def test_the_roof_hides_what_it_truly_hides(tmp_path):
     """By hand: a line of sight from 5 cm above the middle of a roof clears its edge, or it does not."""
     loaded = study(tmp_path, STEP, on("cab", "above", (1, 0, 2), (1, 0, 2)), more="")
-    poses = loaded.poses(np.empty((1, 0)))
-    assert loaded.violation(poses) == [0]
-    (lidar,) = loaded.lidars(poses[0])
+    poses = loaded.space.poses(np.empty((1, 0)))
+    assert loaded.space.violation(poses) == [0]
+    (lidar,) = lidars_at(loaded.slots, poses[0])
     for x in (2.5, 3.0, 4.0, 5.5):
         floor_m = 2.05 - 0.05 * (x - 1)  # through the roof's front edge at x = 2
         for apart_m in (0.02, 2e-6):  # the centres of two cuboids, one upon the other
@@ -252,8 +254,8 @@ def test_what_does_not_violate_is_on_the_surface(tmp_path_factory, group, data):
     text = on(body, side, (-2, -1, 0.2), (2, 1, 2), base_radius_m=radius, upright=upright, step_m=radius)
     loaded = study(tmp_path_factory.mktemp("any"), vehicle, text)
     poses = random(loaded, 100, data.draw(st.integers(0, 99)))
-    fits = loaded.violation(poses) == 0
-    assert (loaded.violation(loaded.midpoint[None]) == 0).all()
+    fits = loaded.space.violation(poses) == 0
+    assert (loaded.space.violation(loaded.space.midpoint[None]) == 0).all()
     out = np.array(naive.OUT[side])
     mount = np.tile(out, (100, 1)) if upright else up(poses[:, 0, 3:])
     base = poses[:, 0, :3] - 0.05 * mount
@@ -264,7 +266,7 @@ def test_what_does_not_violate_is_on_the_surface(tmp_path_factory, group, data):
         assert (_off(loaded, body, lines.reshape(-1, 3)).reshape(-1, 25).min(axis=1) < 0.3).all()
     assert (loaded.vehicle.depth_m(poses[fits, 0, :3]) == 0).all()
     assert np.array_equal(
-        np.concatenate([loaded.violation(one[None]) for one in poses[:20]]), loaded.violation(poses)[:20]
+        np.concatenate([loaded.space.violation(one[None]) for one in poses[:20]]), loaded.space.violation(poses)[:20]
     )
 
 
@@ -294,7 +296,7 @@ def test_a_search_stays_on_the_surface(tmp_path):
     found = [optimize(loaded, threads) for threads in (1, 2)]
     assert found[0].rig == found[1].rig
     poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in found[0].rig.mounts])
-    assert loaded.violation(poses[None]).tolist() == [0]
+    assert loaded.space.violation(poses[None]).tolist() == [0]
     vertices, triangles = loaded.vehicle.scene.mesh()
     for pose, slot in zip(poses, loaded.slots, strict=True):
         surface = slot.surface
@@ -369,7 +371,7 @@ def test_what_the_page_shows_of_a_roof(tmp_path):
     area = np.linalg.norm(np.cross(cells[:, 1] - cells[:, 0], cells[:, 3] - cells[:, 0]), axis=1).sum()
     assert 1.85**2 < area <= 1.9**2
     assert cells[..., 2] == pytest.approx(2.002)
-    poses = loaded.poses(np.tile([0.2, 0.7, 0.5], (1, 2)))[0]
+    poses = loaded.space.poses(np.tile([0.2, 0.7, 0.5], (1, 2)))[0]
     rig = loaded.rig(poses)
     discs = base_discs_m(loaded, rig)
     size = np.linalg.norm(np.cross(discs[:, 1] - discs[:, 0], discs[:, 2] - discs[:, 0]), axis=1).sum() / 2
@@ -387,4 +389,4 @@ def test_what_the_page_shows_of_a_roof(tmp_path):
         STEP,
         "min: {position_m: [1, 0, 2.1], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 0, 2.1], rpy_deg: [0, 0, 0]}",
     )
-    assert len(base_discs_m(loaded, other.rig(other.lower))) == 0
+    assert len(base_discs_m(loaded, other.rig(other.space.lower))) == 0

@@ -12,8 +12,9 @@ import pytest
 from lidarcfg.cli.json_schemas import schema
 from lidarcfg.search.optimize import optimize
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.study.criterion import objective_of
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.study.terms import TERMS
 from tests.command_line import lidarcfg
 from tests.study.toy_term import MeanHeight
@@ -48,11 +49,11 @@ def write(tmp_path):
 def test_its_value_counts_by_its_weight(toy, write):
     """Sensors at 1.5 m and 1.8 m are 0.5 m and 0.8 m above 1 m, 0.65 m on average; above 1.6 m it is 0 and 0.2 m."""
     poses = np.array([[-0.5, 0, 1.5, 0, 0, 0], [0.5, 0, 1.8, 0, 0, 0]])
-    assert load_study(write("mean_height: {above_m: 1}")).cost(poses) == pytest.approx(0.65)
-    assert load_study(write("mean_height: {above_m: 1.6}")).cost(poses) == pytest.approx(0.1)
+    assert objective_of(load_study(write("mean_height: {above_m: 1}")), poses) == pytest.approx(0.65)
+    assert objective_of(load_study(write("mean_height: {above_m: 1.6}")), poses) == pytest.approx(0.1)
     study = load_study(write("mean_height: {above_m: 1, weight: 3}, max_vsr: 1"))
     vsr_m = evaluate(study, study.rig(poses)).max_vsr_m
-    assert study.cost(poses) == pytest.approx((3 * 0.65 + vsr_m) / 4)
+    assert objective_of(study, poses) == pytest.approx((3 * 0.65 + vsr_m) / 4)
     assert study.file["objective"]["mean_height"] == {"above_m": 1.0, "weight": 3.0}
     assert pickle.loads(pickle.dumps(study)).objective == study.objective
 
@@ -64,7 +65,9 @@ def test_a_search_minimises_it_and_skipping_changes_nothing(toy, write, item, me
     study = load_study(write(item, method, budget))
     found, skipped = (optimize(study, threads=1, skip=skip) for skip in (False, True))
     assert (found.rig, found.objective) == (skipped.rig, skipped.objective)
-    assert found.objective == study.cost(np.array([[*one.position_m, *one.rpy_rad] for one in found.rig.mounts]))
+    assert found.objective == objective_of(
+        study, np.array([[*one.position_m, *one.rpy_rad] for one in found.rig.mounts])
+    )
 
 
 @pytest.mark.slow

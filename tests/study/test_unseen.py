@@ -7,8 +7,9 @@ import pytest
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.search.optimize import optimize
+from lidarcfg.study.criterion import objective_of
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.visibility import fraction_below, seen_by_m3
 
@@ -59,14 +60,14 @@ sensors: [{elevation_deg: [0], min: {position_m: [0, 0, 0], rpy_deg: [0, 0, 0]},
 """
     (tmp_path / "p.yaml").write_text(text)
     study = load_study(tmp_path / "p.yaml")
-    volume = evaluate(study, study.rig(study.poses(np.zeros((1, 0)))[0])).seen_by_m3
+    volume = evaluate(study, study.rig(study.space.poses(np.zeros((1, 0)))[0])).seen_by_m3
     assert volume[0] == pytest.approx(0.48 * (4**3 - 1) / 3, rel=0.002)
     assert volume.sum() == pytest.approx(3.8 * 16)
 
 
 def test_nothing_is_blind_where_nothing_limits_the_sight():
     study = load_study(ROOT / "data/studies/liu2018-2x4.yaml")
-    found = evaluate(study, study.rig(study.poses(np.full((1, int(study.free.sum())), 0.5))[0]))
+    found = evaluate(study, study.rig(study.space.poses(np.full((1, study.space.dimensions), 0.5))[0]))
     assert found.seen_by_m3[:2].tolist() == [0, 0]
 
 
@@ -97,17 +98,17 @@ def test_skipping_changes_no_search(boxed, objective, method, budget):
         assert (run.full_evaluations, run.cuboids) == (runs[1].full_evaluations, runs[1].cuboids)
         assert run.full_evaluations < runs[0].full_evaluations
     poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in runs[0].rig.mounts])
-    assert study.cost(poses) == runs[0].objective
+    assert objective_of(study, poses) == runs[0].objective
 
 
 @pytest.mark.slow
 def test_the_objective_is_what_the_evaluation_says(boxed):
     study = boxed(OBJECTIVES[2])
-    poses = study.poses(np.full((1, int(study.free.sum())), 0.3))[0]
+    poses = study.space.poses(np.full((1, study.space.dimensions), 0.3))[0]
     found = evaluate(study, study.rig(poses))
     part = found.seen_by_m3 / found.seen_by_m3.sum()
     expected = found.max_vsr_m + 2 * part[0] + part[:2].sum()
-    assert study.cost(poses) == pytest.approx(expected / 4, rel=1e-12)
+    assert objective_of(study, poses) == pytest.approx(expected / 4, rel=1e-12)
 
 
 def test_the_objectives_need_something_that_limits_the_sight(tmp_path):

@@ -20,7 +20,7 @@ from lidarcfg.clouds.cloud import PointCloud
 from lidarcfg.errors import ConfigError
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.viewer.camera import Camera
 from lidarcfg.viewer.contents import Contents, load_contents
 from lidarcfg.viewer.evaluation import with_poses
@@ -423,7 +423,7 @@ def test_violations_of_a_moved_rig(served, contents):
         json.loads(asked(served, "GET", "/about.json")[1])["evaluation"]["violations"] == []
     )  # another rig than the study's
     study = contents.study
-    rig = study.rig(study.poses(np.full((1, int(study.free.sum())), 0.5))[0])
+    rig = study.rig(study.space.poses(np.full((1, study.space.dimensions), 0.5))[0])
     from lidarcfg.viewer.mounting import violations
 
     assert violations(study, rig) == []

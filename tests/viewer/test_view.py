@@ -21,7 +21,8 @@ from lidarcfg.errors import CloudError, ConfigError, PacketError
 from lidarcfg.geometry import pose, transform
 from lidarcfg.sensors.rig import Rig, load_rig, rig_text
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
+from lidarcfg.study.extents import extents
+from lidarcfg.study.loading import load_study
 from lidarcfg.viewer.bodies import faces, score
 from lidarcfg.viewer.camera import Camera
 from lidarcfg.viewer.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, point_colours, rgb, scaled
@@ -29,7 +30,7 @@ from lidarcfg.viewer.contents import Contents, kind_to_show, load_contents
 from lidarcfg.viewer.still import save_still
 from lidarcfg.viewer.window import parts
 from lidarcfg.vsr.cones import lidar
-from lidarcfg.vsr.metric import extents, surface_m2
+from lidarcfg.vsr.metric import surface_m2
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import segment
 from lidarcfg.world.motion import Trajectory
@@ -190,7 +191,7 @@ def test_faces_have_the_surface_that_the_measure_counts(seed):
 @pytest.mark.slow
 def test_scores_are_those_of_evaluate():
     study = load_study(STUDY)
-    rig = study.rig(study.poses(np.full((1, int(study.free.sum())), 0.3))[0])
+    rig = study.rig(study.space.poses(np.full((1, study.space.dimensions), 0.3))[0])
     ours, theirs = score(study, rig, 10), evaluate(study, rig)
     assert (ours.max_vsr_m, ours.subspaces) == (theirs.max_vsr_m, len(theirs.subspaces))
     for body, worst in zip(ours.worst, theirs.worst, strict=True):

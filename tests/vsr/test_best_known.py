@@ -8,7 +8,7 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from tests.naive import vsr as naive
 
 ROOT = Path(__file__).parents[2]
@@ -53,7 +53,7 @@ def test_every_study_has_one():
 def test_the_rig_is_as_good_as_it_is_said_to_be(name):
     study = load_study(ROOT / f"data/studies/liu2018-{name}.yaml")
     poses = np.array([[*one["position_m"], *one["rpy_rad"]] for one in KNOWN[name]["poses"]])
-    assert ((poses >= study.lower) & (poses <= study.upper)).all()
+    assert ((poses >= study.space.lower) & (poses <= study.space.upper)).all()
     sines = study.slots[0].sensor.sin_elevation
     found = max_vsr_m([(row[:3], row[3:]) for row in poses], sines)
     assert found == pytest.approx(KNOWN[name]["max_vsr_m"], abs=1e-12)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.report.inputs import beams_across, coverage, ring_edges_m
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.vsr.cones import lidar
 from lidarcfg.vsr.detection import DetectionObject, detection, detection_by_distance, from_point
 from lidarcfg.vsr.region import Region
@@ -115,5 +115,5 @@ def test_few_rings_hold_the_whole_region(size_m):
 
 @pytest.mark.slow
 def test_where_the_vehicle_stands():
-    assert load_study(ROOT / "data/studies/liu2018-2x16.yaml").reference_m.tolist() == [29.5, 10.0]
-    assert load_study(ROOT / "data/studies/sedan.yaml").reference_m.tolist() == [0.0, 0.0]
+    assert load_study(ROOT / "data/studies/liu2018-2x16.yaml").space.reference_m.tolist() == [29.5, 10.0]
+    assert load_study(ROOT / "data/studies/sedan.yaml").space.reference_m.tolist() == [0.0, 0.0]

@@ -10,9 +10,9 @@ from scipy import ndimage
 
 from lidarcfg import inputs
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.vsr.metric import extents
+from lidarcfg.study.extents import extents
+from lidarcfg.study.spheres import BYTES
 from lidarcfg.vsr.region import CUBOID_BYTES, Region, RegionFile
-from lidarcfg.vsr.spheres import BYTES
 from lidarcfg.vsr.subspaces import Subspaces
 
 ROOT = Path(__file__).parents[2]
@@ -60,7 +60,7 @@ def test_what_memory_does_not_hold_is_refused_with_the_bytes(monkeypatch):
 PEAK = """
 import sys
 from lidarcfg.study.evaluation import evaluate
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.sensors.rig import load_rig
 peaks = []
 for path in sys.argv[2:]:

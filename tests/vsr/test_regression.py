@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from lidarcfg.search.optimize import optimize
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 
 STUDIES = Path(__file__).parents[2] / "data/studies"
 WITHOUT_BODY = Path(__file__).parents[1] / "search/studies"  # the sedan, as it was: transparent, a box excluded for it

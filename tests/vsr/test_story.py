@@ -8,14 +8,15 @@ import pytest
 
 from lidarcfg import evaluate, optimize
 from lidarcfg.search import place
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 from lidarcfg.vsr import max_vsr, rig_lidars
 
 ROOT = Path(__file__).parents[2]
 
 
 def blocks():
-    """The Python blocks of the page's section on placement, as one text."""
+    """The Python blocks of the page's section on studies, as one text."""
     page = (ROOT / "docs/how-it-works.md").read_text()
     (section,) = re.findall(r"^## From a study to a rig$(.*?)^## ", page, re.M | re.S)
     return "\n".join(re.findall(r"^```python\n(.*?)^```$", section, re.M | re.S))

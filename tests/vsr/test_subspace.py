@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.study.extents import extents
+from lidarcfg.study.spheres import largest_spheres
 from lidarcfg.vsr.cones import lidar
-from lidarcfg.vsr.metric import extents, surface_m2, volume_m3, vsr_m
+from lidarcfg.vsr.metric import surface_m2, volume_m3, vsr_m
 from lidarcfg.vsr.region import Region
-from lidarcfg.vsr.spheres import largest_spheres
 from lidarcfg.vsr.subspaces import Labels, beam_gaps, connect, grid_of, segment
 from tests.naive import vsr as naive
 

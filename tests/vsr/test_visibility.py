@@ -8,6 +8,7 @@ import pytest
 from lidarcfg.errors import ConfigError
 from lidarcfg.search.optimize import optimize
 from lidarcfg.study.evaluation import evaluate
+from lidarcfg.study.mounting import lidars_at
 from lidarcfg.vsr.cones import lidar, rig_lidars
 from lidarcfg.vsr.metric import max_vsr, vsr_m
 from lidarcfg.vsr.region import Region
@@ -39,7 +40,7 @@ def study(tmp_path, text):
 
 def at(loaded):
     """The rig at the lower bounds, and the centres (nx, ny, nz, 3)."""
-    return loaded.rig(loaded.lower), np.stack(np.meshgrid(*loaded.region.centres(), indexing="ij"), axis=-1)
+    return loaded.rig(loaded.space.lower), np.stack(np.meshgrid(*loaded.region.centres(), indexing="ij"), axis=-1)
 
 
 def test_without_its_keys_a_study_is_the_papers(tmp_path):
@@ -47,7 +48,7 @@ def test_without_its_keys_a_study_is_the_papers(tmp_path):
     assert loaded.visibility is None
     off = "visibility: {range: false, field_of_view: false, occlusion: false}\n"
     assert study(tmp_path, STUDY + PLATE + off).visibility is None
-    spaces = segment(loaded.region, loaded.lidars(loaded.lower))
+    spaces = segment(loaded.region, lidars_at(loaded.slots, loaded.space.lower))
     assert (spaces.seen_by == 1).all()
     assert spaces.gap.min() == 0
 
@@ -218,9 +219,9 @@ def test_a_sensor_inside_a_body(tmp_path):
     wide = STUDY.replace("max: {position_m: [1, 2, 1]", "count: 3, max: {position_m: [9, 3, 1.2]")
     loaded = study(tmp_path, wide.replace("[1, 2, 1]", "[1, 1, 0.1]") + CAR.replace("MORE", ""))
     rng = np.random.default_rng(1)
-    poses = loaded.poses(rng.random((300, int(loaded.free.sum()))))
+    poses = loaded.space.poses(rng.random((300, loaded.space.dimensions)))
     depth = np.minimum(poses[..., :3] - (3, 1, 0), (7, 3, 1) - poses[..., :3]).min(axis=-1)
-    assert loaded.violation(poses) == pytest.approx(np.maximum(depth, 0).sum(axis=1))
+    assert loaded.space.violation(poses) == pytest.approx(np.maximum(depth, 0).sum(axis=1))
     for mount in optimize(replace(loaded, solver=loaded.solver.model_copy(update={"evaluations": 300}))).rig.mounts:
         assert (np.minimum(mount.position_m - np.array((3, 1, 0)), (7, 3, 1) - np.array(mount.position_m)) <= 0).any()
 

@@ -10,7 +10,7 @@ from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import ConfigError, LidarcfgError, SceneError
 from lidarcfg.returns.target import ObjectFile, target_of
 from lidarcfg.sensors.rig import load_rig, rig_to_dict
-from lidarcfg.study.study import load_study
+from lidarcfg.study.loading import load_study
 from lidarcfg.world.mesh_source import Triangles
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, load_vehicle, rig_vehicle

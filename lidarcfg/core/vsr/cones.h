@@ -1,4 +1,4 @@
-/// What placement knows of a LiDAR: cones about an axis, and between which of them a point lies.
+/// A LiDAR as VSR sees it: cones about an axis, and between which of them a point lies.
 ///
 /// A point p is at or above beam k when sin(elevation_k) <= a·(p − t) / |p − t|, with the position t and the axis a.
 /// What is compared are the signed squares, h |h| >= u_k |p − t|² with h = a·(p − t) and u_k = sin |sin|: no root is

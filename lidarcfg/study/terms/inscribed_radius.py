@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 from pydantic import Field
 
 from lidarcfg.config.models import Weight
+from lidarcfg.study.spheres import Node, clearance_m, largest_spheres
 from lidarcfg.study.terms.recent import Recent
 from lidarcfg.study.terms.term import Term, TermContext
 from lidarcfg.study.trial import Trial
-from lidarcfg.vsr.spheres import Node, clearance_m, largest_spheres
 
 SAYS = "the radius of the largest sphere that no beam touches"
 

@@ -9,7 +9,7 @@ from pydantic import Field
 from lidarcfg.config.models import Weight
 from lidarcfg.study.terms.term import Term, TermContext
 from lidarcfg.study.trial import Trial
-from lidarcfg.vsr.zones import Weights, weighted_vsr_m
+from lidarcfg.study.zones import Weights, weighted_vsr_m
 
 
 class MaxVsr(Term):

@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from typing import Generic, TypeVar
 
-from lidarcfg.vsr.spheres import Node
+from lidarcfg.study.spheres import Node
 
 RECENT = 32  # findings
 T = TypeVar("T", bound=Node | int)

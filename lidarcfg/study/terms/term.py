@@ -15,9 +15,9 @@ from lidarcfg.returns.misses import Misses
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.study.return_counts import DetectionTarget
 from lidarcfg.study.trial import Trial
+from lidarcfg.study.zones import Weights
 from lidarcfg.vsr.detection import DetectionObject
 from lidarcfg.vsr.region import Region
-from lidarcfg.vsr.zones import Weights
 
 
 class StudyKeys(Protocol):

@@ -1,4 +1,4 @@
-"""Cases of placement: subspaces and their measures, detection, searches."""
+"""Cases of studies: subspaces and their measures, detection, searches."""
 
 from collections.abc import Iterable
 from functools import cache
@@ -30,8 +30,8 @@ def study(name: str):
 def poses(name: str, count: int, seed: int = 1) -> np.ndarray:
     """Poses (count, slots, 6) within the bounds of a study that keep its constraints, drawn at random."""
     one = study(name)
-    drawn = one.poses(np.random.Generator(np.random.Philox(seed)).random((40 * count, int(one.free.sum()))))
-    kept = drawn[one.violation(drawn) == 0.0][:count]
+    drawn = one.space.poses(np.random.Generator(np.random.Philox(seed)).random((40 * count, one.space.dimensions)))
+    kept = drawn[one.space.violation(drawn) == 0.0][:count]
     assert len(kept) == count
     return kept
 
@@ -103,7 +103,7 @@ def _evaluations(name: str, count: int) -> dict[str, object]:
     answers: dict[str, object] = {"included": study(name).region.included}
     for number, rig in enumerate(rigs(name, count)):
         answers |= named(f"rig {number}", evaluation_of(package.evaluate(study(name), rig)))
-        answers[f"rig {number} cost"] = study(name).cost(poses(name, count)[number])
+        answers[f"rig {number} cost"] = package.objective_of(study(name), poses(name, count)[number])
     return answers
 
 
@@ -124,7 +124,7 @@ def _tilted_rigs(folder: Path) -> Answers:
         at[:, 3:] = np.radians(rpy_deg)
         found = package.evaluate(one, one.rig(at))
         axes = np.array([lidar.axis for lidar in package.rig_lidars(one.rig(at))])
-        answers |= named(f"rig {number}", evaluation_of(found) | {"axes": axes, "cost": one.cost(at)})
+        answers |= named(f"rig {number}", evaluation_of(found) | {"axes": axes, "cost": package.objective_of(one, at)})
     return answers
 
 
@@ -201,7 +201,7 @@ def _returns(folder: Path) -> Answers:
     ]
     rig = package.rig_of(folder, sensors)
     one = study("car-returns")
-    scanners = one.scanners(rig.mounts)
+    scanners = package.scanners_of(rig.mounts)
     at = package.sensor_poses(package.rig_lidars(rig))
     for sought in one.detection_targets:
         for kind, obstacles in (("", one.obstacles), (" in the open", package.NO_OBSTACLES)):
@@ -228,15 +228,15 @@ for each in OBJECTIVES:
         which = np.arange(count) % 6
         trials[count // 2 :] = sources[which[count // 2 :]]
         trials[count // 2 :, 0] = every[6 : 6 + count // 2, 0]  # one sensor moves alone
-        with package.StudyEvaluator(one, 2) as evaluator:
-            at = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf))
+        with package.ObjectiveCosts(one, 2) as costs:
+            at = costs.costs(sources, np.arange(6), sources, np.full(6, np.inf))
             answers["of sources"] = at
             for number, smoothing in enumerate((0.0, 0.0, 0.05)):
-                answers[f"batch {number}"] = evaluator.costs(trials, which, sources, at[which], smoothing)
-        with package.StudyEvaluator(one, 2, skip=False) as evaluator:
-            full = evaluator.costs(trials, which, sources, at[which])
+                answers[f"batch {number}"] = costs.costs(trials, which, sources, at[which], smoothing)
+        with package.ObjectiveCosts(one, 2, skip=False) as costs:
+            full = costs.costs(trials, which, sources, at[which])
             answers["in full"] = full
-        answers["by definition"] = np.array([one.cost(trial) for trial in trials[:2]])
+        answers["by definition"] = np.array([package.objective_of(one, trial) for trial in trials[:2]])
         return answers
 
 
@@ -300,15 +300,15 @@ def _front(folder: Path) -> Answers:
 def _surfaces(folder: Path) -> Answers:
     """Where bases fit, how sensors sit there, and by how much poses violate that."""
     one = study("surface")
-    unit = np.random.Generator(np.random.Philox(9)).random((200, int(one.free.sum())))
-    at = one.poses(unit)
+    unit = np.random.Generator(np.random.Philox(9)).random((200, one.space.dimensions))
+    at = one.space.poses(unit)
     off = at.copy()
     off[:, :, :3] += 0.02 * np.random.Generator(np.random.Philox(10)).random(off[:, :, :3].shape)
     return {
         "poses": at,
-        "violation": one.violation(at),
-        "off": one.violation(off),
-        "midpoint": one.midpoint,
-        "lower": one.lower,
-        "upper": one.upper,
+        "violation": one.space.violation(at),
+        "off": one.space.violation(off),
+        "midpoint": one.space.midpoint,
+        "lower": one.space.lower,
+        "upper": one.space.upper,
     }

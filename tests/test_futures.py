@@ -6,7 +6,7 @@ from threading import Lock
 import numpy as np
 import pytest
 
-from lidarcfg.study.batch import parallel_for
+from lidarcfg.futures import parallel_for
 
 
 @pytest.mark.parametrize(

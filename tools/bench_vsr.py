@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""How fast placement is, as medians of several runs, beside the natural pipeline from the package index.
+"""How fast VSR and its search are, as medians of several runs, beside the natural pipeline from the package index.
 
     .venv/bin/python -m pip install connected-components-3d
-    .venv/bin/python tools/bench_placement.py
+    .venv/bin/python tools/bench_vsr.py
 
 Prints the tables of docs/evidence/benchmarks.md.
 """
@@ -27,10 +27,11 @@ from page import ROOT, machine
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.robustness import Robust
 from lidarcfg.search.optimize import optimize
-from lidarcfg.study.evaluator import Evaluator
-from lidarcfg.study.study import Study, load_study, with_solver
+from lidarcfg.study.bounded_costs import BoundedCosts
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
+from lidarcfg.study.study import Study, with_solver
 from lidarcfg.vsr.cones import Lidar
-from lidarcfg.vsr.metric import vsr_of_counts
 from lidarcfg.vsr.region import Region
 
 SEED = 1
@@ -91,35 +92,37 @@ def pipeline(region: Region, lidars: list[Lidar]) -> float:
         low, high = np.take(part, range(part.shape[axis] - 1), axis), np.take(part, range(1, part.shape[axis]), axis)
         internal.append(np.bincount(low[low == high], minlength=count))
     cuboids = np.bincount(part.ravel(), minlength=count)[1:]
-    return float(vsr_of_counts(cuboids, np.stack(internal, axis=1)[1:], region.cuboid_m).max())
+    outer = cuboids[:, None] - np.stack(internal, axis=1)[1:]
+    edges = region.cuboid_m
+    return float((cuboids * edges.prod() / (2 * outer * edges.prod() / edges).sum(axis=1)).max())
 
 
 def rigs(study: Study) -> list[tuple[str, Array]]:
     """Poses (LiDARs, 6) at random in the bounds, and some near an optimum, where subspaces are many and small."""
     rng = np.random.default_rng(SEED)
-    poses = study.poses(rng.random((RIGS, int(study.free.sum()))))
+    poses = study.space.poses(rng.random((RIGS, study.space.dimensions)))
     found = optimize(with_solver(study, method="abc", bees=40, cycles=60)).rig.mounts
     best = np.array([[*mount.position_m, *mount.rpy_rad] for mount in found])
     near = best + rng.normal(0.0, 0.01, (RIGS, *best.shape))
     return [("at random", p) for p in poses] + [("near an optimum", p) for p in near]
 
 
-def largest(evaluator: Evaluator, poses: Array) -> float:
+def largest(bounded: BoundedCosts, poses: Array) -> float:
     """Max VSR in metres, evaluated in full."""
     trial = poses[None]
-    return float(evaluator.costs(trial, np.zeros(1, np.int64), trial, np.full(1, np.inf))[0])
+    return float(bounded.costs(trial, np.zeros(1, np.int64), trial, np.full(1, np.inf))[0])
 
 
 def evaluations(study: Study) -> None:
     """One evaluation, in full, on one thread."""
     print("\n| one evaluation, 48,000 cuboids, 4 × 16 beams, one thread | median (ms) | spread | |\n|---|---|---|---|")
     seconds: dict[tuple[str, str], list[float]] = {}
-    with Evaluator(study.region, study.lidars(study.midpoint), threads=1, skip=False) as evaluator:
+    with BoundedCosts(study.region, lidars_at(study.slots, study.space.midpoint), threads=1, skip=False) as bounded:
         for name, poses in rigs(study):
-            lidars = list(study.lidars(poses))
-            assert abs(largest(evaluator, poses) - pipeline(study.region, lidars)) < 1e-12
+            lidars = list(lidars_at(study.slots, poses))
+            assert abs(largest(bounded, poses) - pipeline(study.region, lidars)) < 1e-12
             for label, function in (
-                ("lidarcfg", partial(largest, evaluator, poses)),
+                ("lidarcfg", partial(largest, bounded, poses)),
                 ("numpy + cc3d + bincount", partial(pipeline, study.region, lidars)),
             ):
                 seconds.setdefault((label, name), []).extend(timed(function, 25))
@@ -133,18 +136,18 @@ FINE_GRID = """
 import json, resource, statistics, sys, time
 import numpy as np
 from lidarcfg.vsr.cones import lidar
-from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.study.bounded_costs import BoundedCosts
 from lidarcfg.vsr.region import Region
 part, poses, sines = json.loads(sys.argv[1])
 region = Region.from_boxes((0, 0, 0), (60, 20, 4), np.array([1, 0.5, 0.2]) / part, (((27, 8, 0), (33, 12, 4)),))
 lidars = [lidar(row[:3], row[3:], np.array(sines)) for row in poses[0]]
 seconds = []
-with Evaluator(region, lidars, threads=1, skip=False) as evaluator:
+with BoundedCosts(region, lidars, threads=1, skip=False) as bounded:
     for number, rig in enumerate([poses[0], *poses]):
         trial = np.array([rig])
         for _ in range(3):
             started = time.perf_counter()
-            evaluator.costs(trial, np.zeros(1, np.int64), trial, np.full(1, np.inf))
+            bounded.costs(trial, np.zeros(1, np.int64), trial, np.full(1, np.inf))
             seconds += [time.perf_counter() - started] * (number > 0)
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(json.dumps([region.included.size, statistics.median(seconds), max(seconds), memory]))
@@ -156,7 +159,7 @@ def fine_grids(study: Study) -> None:
     print("\n| edges | cuboids | median (ms) | most (ms) | peak (MB) | growth |\n|---|---|---|---|---|---|")
     before = None
     rng = np.random.default_rng(SEED)
-    poses = study.poses(rng.random((2 * RIGS, int(study.free.sum())))).tolist()
+    poses = study.space.poses(rng.random((2 * RIGS, study.space.dimensions))).tolist()
     for part in (1, 2, 4, 8):
         given = json.dumps([part, poses, study.slots[0].sensor.sin_elevation.tolist()])
         words = [sys.executable, "-c", FINE_GRID, given]
@@ -170,26 +173,31 @@ SEDAN_WITH_BODY = """
 import json, statistics, sys, time
 from dataclasses import replace
 import numpy as np
-from lidarcfg.study.evaluator import Evaluator
+from lidarcfg.study.bounded_costs import BoundedCosts
 from lidarcfg.search.optimize import optimize
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
+from lidarcfg.study.objective_costs import segments_of_trial
+from lidarcfg.study.study import with_solver
 study, cycles = load_study(sys.argv[1]), int(sys.argv[2])
 rng = np.random.default_rng(1)
 seconds = [], []
-for poses in study.poses(rng.random((10, int(study.free.sum())))):
+for poses in study.space.poses(rng.random((10, study.space.dimensions))):
     trial = poses[None]
     for of, sight in zip(seconds, (study.visibility, None), strict=True):
-        with Evaluator(study.region, study.lidars(poses), threads=1, skip=False, visibility=sight) as evaluator:
+        lidars = lidars_at(study.slots, poses)
+        with BoundedCosts(study.region, lidars, threads=1, skip=False, visibility=sight) as bounded:
             for n in range(6):
                 started = time.perf_counter()
-                evaluator.costs(trial, np.zeros(1, np.int64), trial, np.full(1, np.inf))
+                bounded.costs(trial, np.zeros(1, np.int64), trial, np.full(1, np.inf))
                 of += [time.perf_counter() - started] * (n > 0)
 runs = []
 for one in (study, replace(study, visibility=None, vehicle=None)) if cycles else ():
     optimize(with_solver(one, method="abc", bees=10, cycles=2), threads=1)
     found = optimize(with_solver(one, method="abc", bees=200, cycles=cycles), threads=1)
     asked = found.evaluations + found.first_evaluations + found.scout_evaluations
-    cast = found.segments / (asked * one.segments) if one.segments else 0.0
+    segments = segments_of_trial(one)
+    cast = found.segments / (asked * segments) if segments else 0.0
     runs.append([found.seconds, 1 - found.full_evaluations / asked, cast])
 triangles, cuboids = len(study.vehicle.scene.triangles), int(study.region.included.size)
 print(json.dumps([triangles, cuboids, *map(statistics.median, seconds), max(seconds[0]), runs]))
@@ -242,7 +250,8 @@ def with_one_lost(study: Study) -> None:
 PAPERS_RUN = """
 import json, resource, sys
 from lidarcfg.search.optimize import optimize
-from lidarcfg.study.study import load_study, with_solver
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import with_solver
 study = load_study(sys.argv[1])
 optimize(with_solver(study, bees=10, cycles=2))
 found = optimize(study, threads=int(sys.argv[2]))

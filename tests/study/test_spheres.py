@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from lidarcfg import inputs
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.vsr import spheres
-from lidarcfg.vsr.spheres import clearance_m, largest_spheres
+from lidarcfg.study import spheres
+from lidarcfg.study.spheres import clearance_m, largest_spheres
 from tests.naive import vsr as naive
 from tests.vsr.test_metric import bodies as bodies_in_blobs
 from tests.vsr.test_subspace import EDGES, bodies, cells

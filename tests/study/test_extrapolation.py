@@ -18,9 +18,10 @@ from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import up
 from lidarcfg.report.key_figures import extrapolated_figure
-from lidarcfg.study.study import load_study
+from lidarcfg.study.extrapolation import Extrapolated, extrapolate, limit
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.mounting import lidars_at
 from lidarcfg.vsr.cones import Lidar, gaps_at
-from lidarcfg.vsr.extrapolation import Extrapolated, extrapolate, limit
 from lidarcfg.vsr.region import Region
 
 STUDIES = Path(__file__).parents[2] / "data/studies"
@@ -106,7 +107,7 @@ def limited(tmp_path, box, cuboid, position, rpy=(0, 0, 0), more="", bodies=""):
     path = tmp_path / "study.yaml"
     path.write_text(text + SENSOR.format(position=list(position), rpy=list(rpy), more=more))
     loaded = load_study(path)
-    return extrapolate(loaded.region, loaded.lidars(loaded.lower), 1.0, loaded.visibility)
+    return extrapolate(loaded.region, lidars_at(loaded.slots, loaded.space.lower), 1.0, loaded.visibility)
 
 
 CUBE = (-1, -1, -1), (1, 1, 1)
@@ -301,8 +302,8 @@ def test_error_bars_hold_in_studies(name):
     if region.cut:
         coarse = coarse.without(region.cut.bodies)
     rng = np.random.default_rng(5)
-    for poses in study.poses(rng.random((2, int(study.free.sum())))):
-        lidars = study.lidars(poses)
+    for poses in study.space.poses(rng.random((2, study.space.dimensions))):
+        lidars = lidars_at(study.slots, poses)
         found = extrapolate(coarse, lidars, 1.0, study.visibility)
         check(found, in_the_limit(coarse, lidars, study.visibility), 0.4)
 

@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from lidarcfg.vsr.detection import DetectionObject, counted_places, from_point, gap_fit
+from lidarcfg.study.detection import gap_fit
+from lidarcfg.vsr.detection import DetectionObject, counted_places, from_point
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.subspaces import Subspaces
 

@@ -1,6 +1,6 @@
-"""The costs of a study's trials, with failures and mounting errors where the study asks for them.
+"""The objective of a study's trials, with failures and mounting errors where the study asks for them.
 
-Each draw of mounting errors has an evaluator of its own, with its own certificates and links. A trial is refuted as
+Each draw of mounting errors has bounded costs of its own, with its own certificates and links. A trial is refuted as
 soon as more draws reach the cost to beat than may be worse than the quantile, because then the quantile reaches it,
 too.
 """
@@ -15,8 +15,8 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.robustness import mounted
 from lidarcfg.returns.misses import SEARCH_PLACES
-from lidarcfg.study.evaluator import Evaluator, Index
-from lidarcfg.study.objective import EVERY_CASE, Criterion
+from lidarcfg.study.bounded_costs import BoundedCosts, Index
+from lidarcfg.study.criterion import EVERY_CASE, Criterion
 from lidarcfg.study.study import Study
 from lidarcfg.study.terms.recent import Recent
 from lidarcfg.vsr.cones import Lidar
@@ -24,8 +24,8 @@ from lidarcfg.vsr.cones import Lidar
 LOOK_S = 0.05  # between two looks at the clock
 
 
-class StudyEvaluator:
-    """Evaluates poses (n, slots, 6) of a study's sensors; a context that owns its threads. See Evaluator."""
+class ObjectiveCosts:
+    """The objective of a study's sensors at poses (n, slots, 6); a context that owns its threads. See BoundedCosts."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class StudyEvaluator:
         self._sources = self._off_sources = np.empty((0, len(study.slots), 6))
         self._ended = 0
         self._seconds = 0.0
-        self._before: list[Evaluator] = []  # that counted misses at other places
+        self._before: list[BoundedCosts] = []  # that counted misses at other places
         self.trials = 0  # evaluated, in full or until they were refuted
         self.count_at(places)
 
@@ -62,19 +62,19 @@ class StudyEvaluator:
             self._before += self._parts
         self._at_rest = self._off = None
         if robust is None or robust.lost:
-            criterion = study.criterion(robust.kept(len(lidars)) if robust else EVERY_CASE, known=known)
+            criterion = Criterion.of_study(study, robust.kept(len(lidars)) if robust else EVERY_CASE, known=known)
             self._at_rest = self._part(lidars, criterion)
         if robust and robust.drawn:
             self._errors = robust.errors(len(lidars))
-            self._off = self._part(lidars, study.criterion(known=known))
+            self._off = self._part(lidars, Criterion.of_study(study, known=known))
 
-    def _part(self, lidars: Sequence[Lidar], criterion: Criterion) -> Evaluator:
+    def _part(self, lidars: Sequence[Lidar], criterion: Criterion) -> BoundedCosts:
         study = self._study
-        one = Evaluator(study.region, lidars, self._threads, self._skip, criterion, visibility=study.visibility)
+        one = BoundedCosts(study.region, lidars, self._threads, self._skip, criterion, visibility=study.visibility)
         one.on_evaluated = partial(self._evaluated, self._on_evaluations) if self._on_evaluations else None
         return one
 
-    def __enter__(self) -> "StudyEvaluator":
+    def __enter__(self) -> "ObjectiveCosts":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
@@ -86,15 +86,16 @@ class StudyEvaluator:
         on_evaluations(self._ended)
 
     @property
-    def _parts(self) -> list[Evaluator]:
+    def _parts(self) -> list[BoundedCosts]:
         return [one for one in (self._at_rest, self._off) if one]
 
     @property
     def slice(self) -> int:
         """How many trials are evaluated between two looks at the clock, where there is a deadline."""
         by_cuboids = min(max(one.slice // max(self._drawn * (one is self._off), 1), 1) for one in self._parts)
-        if self._study.objective_cuts or not self.trials:
-            return by_cuboids if self._study.objective_cuts else 1
+        cuts = self._study.objective.cuts(self._study.detection)
+        if cuts or not self.trials:
+            return by_cuboids if cuts else 1
         return min(by_cuboids, max(int(LOOK_S * self.trials / max(self._seconds, 1e-9)), 1))
 
     @property
@@ -120,7 +121,7 @@ class StudyEvaluator:
     def costs(
         self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
     ) -> Array:
-        """(n,) the costs, or inf where one is not below `upper_bound` (n,). See Evaluator.costs."""
+        """(n,) the costs, or inf where one is not below `upper_bound` (n,). See BoundedCosts.costs."""
         cost = np.full(len(poses), -np.inf)
         began = time.perf_counter()
         self.trials += len(poses)
@@ -134,7 +135,7 @@ class StudyEvaluator:
         return cost
 
     def _quantiles(
-        self, evaluator: Evaluator, poses: Array, source: Index, source_poses: Array, upper_bound: Array
+        self, bounded: BoundedCosts, poses: Array, source: Index, source_poses: Array, upper_bound: Array
     ) -> Array:
         """(n,) the quantiles of the draws' costs, or inf where one is not below `upper_bound`."""
         assert self._robust
@@ -157,9 +158,9 @@ class StudyEvaluator:
                 off = mounted(poses[open_ones], self._errors[draw])
                 asked = off, source[open_ones] + first[draw], self._off_sources, upper_bound[open_ones]
                 if witnesses_alone:
-                    values[open_ones[evaluator.refuted(*asked)], draw] = np.inf
+                    values[open_ones[bounded.refuted(*asked)], draw] = np.inf
                 else:
-                    values[open_ones, draw] = evaluator.costs(*asked)
+                    values[open_ones, draw] = bounded.costs(*asked)
                 for _ in range(int((values[open_ones, draw] == np.inf).sum())):
                     self._refuting.add(draw)
         self._refuting.learn()
@@ -167,3 +168,18 @@ class StudyEvaluator:
         out = np.full(len(poses), np.inf)
         out[~settled] = np.sort(values[~settled], axis=1)[:, self._drawn - 1 - spare]
         return out
+
+
+def rigs_of_trial(study: Study) -> int:
+    """The number of rigs that a trial stands for, of which the worst counts."""
+    return len(study.robust.kept(len(study.slots))) + study.robust.drawn if study.robust else 1
+
+
+def segments_of_trial(study: Study) -> int:
+    """The number of segments from the LiDARs of these rigs to cuboids, along which bodies may hide the cuboids."""
+    if study.visibility is None or not study.visibility.blocks:
+        return 0
+    lidars = len(study.slots)
+    if study.robust:
+        lidars = int(study.robust.kept(lidars).sum()) + study.robust.drawn * lidars
+    return lidars * int(study.region.included.sum())

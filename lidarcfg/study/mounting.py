@@ -1,4 +1,4 @@
-"""The sensors that a study places: one slot each, in the order of its groups, and the bounds of their poses.
+"""Which sensors a study mounts, and within which bounds: a slot for each sensor, in the order of the file's groups.
 
 Where a study lets one choose models, a slot has them with their prices.
 """
@@ -12,22 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarcfg.config.models import NAME_MAX, error_at
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.sensors.rig import HOSTS, resolve_sensor
+from lidarcfg.sensors.rig import FIRST_HOST, HOSTS, RETURN_MODE, RPM, Mount, ports, resolve_sensor
 from lidarcfg.sensors.sensor import Sensor, catalogue
 from lidarcfg.study.file import NONE, GroupFile, StudyFile
 from lidarcfg.study.surfaces import Surface, on_surface
-from lidarcfg.vsr.cones import Lidar, sensor_lidar
+from lidarcfg.vsr.cones import Lidar, placed, sensor_lidar
 from lidarcfg.world.vehicle import Vehicle
 
 BETWEEN_DEG = 10.0  # how much less a sensor may tilt between the places of its surface that were tried
-ROLL = 3
-PITCH = 4
-NEARLY_RAD = 1e-3  # bounds that far from half a turn still count as one; the paper's end at 3.1415
 
 
 @dataclass(frozen=True)
@@ -100,11 +96,14 @@ def unused_prices(file: StudyFile) -> list[str]:
 
 @dataclass(frozen=True)
 class Slot:
-    """One sensor to place."""
+    """A sensor to mount, and where it may be."""
 
     name: str
     sensor: Sensor
     model: str | None  # its name in files; None: its beams are given inline
+    lower: tuple[float, ...]  # x, y, z, roll, pitch, yaw, in metres and radians; on a surface those of its box
+    upper: tuple[float, ...]  # equal to lower: a fixed value
+    image_y_m: float | None = None  # the plane that mirrors the sensor before into this one
     range_m: tuple[float, float] | None = None  # least, greatest; None: the sensor's
     azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise; None: all around
     surface: Surface | None = None  # that it sits on; None: it may be anywhere within its bounds
@@ -115,35 +114,52 @@ class Slot:
         """The slot's LiDAR at the vehicle's origin."""
         return sensor_lidar(self.sensor, self.range_m, self.azimuth_fov_deg)
 
+    def mount(self, number: int, x: float, y: float, z: float, roll: float, pitch: float, yaw: float) -> Mount:
+        """Its sensor at a pose; the addresses of sensors differ by their numbers."""
+        data_port, telemetry_port = ports(self.sensor)
+        return Mount(
+            name=self.name,
+            sensor=self.sensor,
+            position_m=(x, y, z),
+            rpy_rad=(roll, pitch, yaw),
+            model=self.model,
+            host=str(FIRST_HOST + number),
+            data_port=data_port + number,
+            telemetry_port=telemetry_port + number,
+            rpm=RPM,
+            return_mode=RETURN_MODE,
+            azimuth_fov_deg=self.azimuth_fov_deg,
+            range_m=self.range_m,
+        )
 
-@dataclass(frozen=True)
-class Slots:
-    """All slots of a study."""
 
-    slots: tuple[Slot, ...]
-    group: tuple[int, ...]  # the group of each
-    lower: Array  # (slots, 6), see Study
-    upper: Array  # (slots, 6)
-    mirror: Array  # (slots,)
+def lidars_at(slots: Sequence[Slot], poses: Array) -> tuple[Lidar, ...]:
+    """The LiDARs of slots at poses (slots, 6)."""
+    return tuple(placed(slot.lidar, row[:3], row[3:]) for row, slot in zip(poses, slots, strict=True))
 
-    @property
-    def sensors(self) -> list[Sensor]:
-        """The sensors of all slots, and all models to choose from."""
-        chosen = [choice.sensor for slot in self.slots for choice in slot.choices if choice]
-        return [slot.sensor for slot in self.slots] + chosen
 
-    @property
-    def boxes_m(self) -> list[tuple[Array, Array]] | None:
-        """The lower and the upper corner (3,) of the box in which each may be; None if some sit on a surface."""
-        if any(slot.surface for slot in self.slots):
-            return None
-        out = []
-        for low, high, y_m in zip(self.lower[:, :3], self.upper[:, :3], self.mirror, strict=True):
-            corners = np.stack([low, high])
-            if not math.isnan(y_m):
-                corners[:, 1] = 2 * y_m - corners[::-1, 1]
-            out.append((corners[0], corners[1]))
-        return out
+def mounts_at(slots: Sequence[Slot], poses: Array) -> tuple[Mount, ...]:
+    """The mounts of slots at poses (slots, 6); every sensor with an address and ports of its own."""
+    return tuple(slot.mount(i, *row) for i, (row, slot) in enumerate(zip(poses.tolist(), slots, strict=True)))
+
+
+def all_sensors(slots: Sequence[Slot]) -> list[Sensor]:
+    """The sensors of slots, and all models to choose from."""
+    chosen = [choice.sensor for slot in slots for choice in slot.choices if choice]
+    return [slot.sensor for slot in slots] + chosen
+
+
+def boxes_m(slots: Sequence[Slot]) -> list[tuple[Array, Array]] | None:
+    """The lower and the upper corner (3,) of the box in which each may be; None if some sit on a surface."""
+    if any(slot.surface for slot in slots):
+        return None
+    out = []
+    for slot in slots:
+        corners = np.array([slot.lower[:3], slot.upper[:3]])
+        if slot.image_y_m is not None:
+            corners[:, 1] = 2 * slot.image_y_m - corners[::-1, 1]
+        out.append((corners[0], corners[1]))
+    return out
 
 
 def _given_sensors(file: StudyFile, choices: list[Choices], path: Path) -> dict[int, tuple[Sensor, str | None]]:
@@ -161,13 +177,9 @@ def _given_sensors(file: StudyFile, choices: list[Choices], path: Path) -> dict[
     return found
 
 
-def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, path: Path) -> Slots:
+def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, path: Path) -> tuple[Slot, ...]:
     """The slots of a file's groups; `choices` by group. Raises ConfigError."""
     found: list[Slot] = []
-    lower = []
-    upper = []
-    mirror = []
-    member = []
     given = _given_sensors(file, choices, path)
     for i, (group, models) in enumerate(zip(file.sensors, choices, strict=True)):
         offered = tuple(
@@ -188,15 +200,23 @@ def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, pa
                 raise error_at(path, ("sensors", i, "name"), what)
             image = group.mirror_y_m is not None and number % 2 == 1
             own_surface = surface.image if surface and image else surface
-            found.append(Slot(name, sensor, model, group.range_m, fov_deg, own_surface, offered))
-            member.append(i)
-            lower.append(group.bounds[0])
-            upper.append(group.bounds[1])
-            mirror.append(group.mirror_y_m if image else math.nan)
+            found.append(
+                Slot(
+                    name=name,
+                    sensor=sensor,
+                    model=model,
+                    lower=group.bounds[0],
+                    upper=group.bounds[1],
+                    image_y_m=group.mirror_y_m if image else None,
+                    range_m=group.range_m,
+                    azimuth_fov_deg=fov_deg,
+                    surface=own_surface,
+                    choices=offered,
+                )
+            )
     if len(found) > HOSTS:
         raise error_at(path, ("sensors",), f"has {len(found)} sensors; allowed: at most {HOSTS}")
-    low, high, plane = (np.array(values, np.float64) for values in (lower, upper, mirror))
-    return Slots(tuple(found), tuple(member), low, high, plane)
+    return tuple(found)
 
 
 def _surface(file: StudyFile, bodies: Vehicle | None, sensor: Sensor, path: Path, i: int) -> Surface | None:
@@ -238,34 +258,3 @@ def check_bounds(file: StudyFile, path: Path, bodies: Vehicle) -> None:
                 f"every place within its bounds is inside the vehicle's {name!r}; move them, or set allow_inside: true"
             )
             raise error_at(path, ("sensors", i), what)
-
-
-def freely_tilted(lidars: Sequence[Lidar], lower: Array, upper: Array, free: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(n, 2) the free coordinates that are roll and pitch of sensors that may be tilted any way.
-
-    A sensor whose beams are symmetric sees the same upside down, so half a turn of roll and of pitch are all there is.
-    Where both go from 0 to half a turn, as in the paper, a sensor stands upright in each corner of these bounds, and a
-    search that tilts it a little to the other side would have to jump. Bounds and `free` are (sensors, 6).
-    """
-    number = np.cumsum(free).reshape(free.shape) - 1
-    found = []
-    for i, lidar in enumerate(lidars):
-        symmetric = lidar.sin_elevation.size and np.allclose(lidar.sin_elevation, -lidar.sin_elevation[::-1])
-        half_turns = all(
-            free[i, k] and lower[i, k] == 0.0 and abs(upper[i, k] - math.pi) < NEARLY_RAD for k in (ROLL, PITCH)
-        )
-        if symmetric and half_turns:
-            found.append((number[i, ROLL], number[i, PITCH]))
-    return np.array(found, np.int64).reshape(-1, 2)
-
-
-def center_on_upright(unit: Array, angles: NDArray[np.int64]) -> Array:
-    """Where points (n, coordinates) of the unit cube, with upright in its middle, are between the bounds, 0 … 1.
-
-    angles (m, 2): as from freely_tilted. Pitch beyond its bounds is half a turn less, with roll to the other side.
-    """
-    roll, pitch = angles.T
-    out = unit.copy()
-    out[:, roll] = (0.5 + np.where(unit[:, pitch] < 0.5, -1.0, 1.0) * unit[:, roll]) % 1.0
-    out[:, pitch] = (0.5 + unit[:, pitch]) % 1.0
-    return out
