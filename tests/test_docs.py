@@ -73,6 +73,7 @@ FOLDERS += [
     ["v1.0-lidarcfg", "maps", "samples"],
 ]  # KITTI's two, nuScenes with data
 MAGIC = {
+    ".usda": b"#usda 1.0",
     ".pcap": b"\xd4\xc3\xb2\xa1",  # little-endian, microseconds
     ".parquet": b"PAR1",
     ".ply": b"ply\nformat binary_little_endian 1.0\n",
@@ -183,6 +184,9 @@ def check_kind(path):
     elif path.suffix == ".bin":
         assert content
         assert len(content) % 16 == 0  # four float32 a point
+    elif path.suffix == ".mat3x4f":
+        assert content
+        assert len(content) % 48 == 0  # twelve float32 a ray
     elif b"ros__parameters" in content:
         assert content.startswith(b"/**:")
     else:
