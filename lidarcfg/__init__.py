@@ -1,6 +1,6 @@
 """lidarcfg: where should the LiDARs sit on this vehicle, and what will they see?
 
-The packages, each importing only those above it:
+The packages, from the ground up; each imports only those that stand before it in this list:
 
     config        our YAML files, strictly checked
     clouds        point clouds and their files
@@ -20,7 +20,7 @@ The packages, each importing only those above it:
     viewer        the page in a browser, stills, Open3D's window
     cli           the commands
 
-Below them are `core`, the hot loops in C++, and the modules beside this file: `errors`, `units`, `maths`, `geometry`,
+The ground are `core`, the hot loops in C++, and the modules beside this file: `errors`, `units`, `maths`, `geometry`,
 `futures`, `files`, `inputs`.
 
 `__init__.pyi` lists the public names. Each loads its module on first use, so `import lidarcfg` costs nothing.

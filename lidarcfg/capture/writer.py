@@ -5,22 +5,22 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lidarcfg.capture.ethernet import ethernet_frames
 from lidarcfg.capture.export import save_sidecar_files
-from lidarcfg.capture.manifest import DriveInputs
+from lidarcfg.capture.manifest import DriveInputs, manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import FILE_HEADER
 from lidarcfg.capture.replay import Senders, receiver_address
 from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, save_clouds
 from lidarcfg.errors import LidarcfgError, PacketError, reason
-from lidarcfg.files import replacing
+from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.geometry import Array, Bytes
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
@@ -29,7 +29,7 @@ from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.drive import Drive, FiredPackets, RayBatch, SensorTimeline
 from lidarcfg.simulate.echoes import EXACT, Echoes, SensorErrors
 from lidarcfg.simulate.scans import reported
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, TIME_END_NS
 
 UDP = "udp://"
 
@@ -42,61 +42,61 @@ class Sent(NamedTuple):
     payloads: Payloads
 
 
-class Output(Protocol):
-    """Where a writer's packets or points go."""
-
-    def send(self, sent: Sequence[Sent], known_ns: int) -> None:
-        """More packets. All that leave before `known_ns` have come."""
-
-    def draw(self, points: PointCloud) -> None:
-        """More points."""
-
-    def finish(self, end_ns: int) -> None:
-        """Complete the output; the drive ends then."""
-
-
 class Writer:
     """Writes what the rays of a drive hit to one or more outputs, from entering to leaving it.
 
-    An output is a capture (.pcap), a host to which each packet is sent at its time (udp://HOST or udp://HOST:PORT), or
-    a cloud (.ply, .pcd, .npz) in the frame of the rays. Files are written whole, or not at all if the block ends with
-    an error. With `noise`, the errors that the rig's `realism` has are added. Raises LidarcfgError.
+    An output is a capture (.pcap), a host to which each packet is sent at its time, or later (udp://HOST or
+    udp://HOST:PORT, IPv4), or a cloud (.ply, .pcd, .npz) in the frame of the rays, which is held in memory. Files are
+    written whole, or not at all if the block ends with an error. With `noise`, the errors that the rig's `realism` has
+    are added. Raises LidarcfgError.
     """
 
     def __init__(
         self, drive: Drive, *outputs: str | Path, noise: bool = True, on_warning: Callable[[str], None] = print
     ) -> None:
-        if not outputs:
-            raise LidarcfgError("no output; allowed: a .pcap, udp://HOST[:PORT], or a cloud")
+        names = [str(one) for one in outputs]
+        if not names or len(set(names)) < len(names):
+            what = f"{', '.join(names)}: one is given twice" if names else "no output"
+            raise LidarcfgError(f"{what}; allowed: each a .pcap, {UDP}HOST[:PORT], or a cloud")
         self._drive = drive
-        self._codecs = []
         self._written = [0] * len(drive.sensors)  # firings of each sensor
-        self._end_s = 0.0
-        self._begun = False
+        self._end_s: float | None = None  # None: nothing is written
         self._errors = [_errors(sensor, noise, on_warning) for sensor in drive.sensors]
-        self._outputs = [_output(drive, str(one), on_warning) for one in outputs]
-        self._packets = any(not isinstance(one, _Cloud) for one in self._outputs)
-        self._points = any(isinstance(one, _Cloud) for one in self._outputs)
-        if self._packets:
+        targets = [name for name in names if name.startswith(UDP)]
+        paths = [Path(name) for name in names if not name.startswith(UDP)]
+        self._captures = [_Capture(drive, path, on_warning) for path in paths if path.suffix.lower() == ".pcap"]
+        self._clouds = [_Cloud(path) for path in paths if path.suffix.lower() != ".pcap"]
+        self._streams: list[_Capture | _Hosts] = [*self._captures, *([_Hosts(targets)] if targets else [])]
+        self._codecs = []
+        if self._streams:
             self._codecs = [codec(sensor.mount.sensor) for sensor in drive.sensors]
-        self._open = ExitStack()
+        self._open: ExitStack | None = None
 
     def __enter__(self) -> "Writer":
-        for one in self._outputs:
-            self._open.enter_context(one)
+        with ExitStack() as opened:
+            for one in self._streams:
+                opened.enter_context(one.open())
+            self._open = opened.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            if kind is None:
-                for one in self._outputs:
-                    one.finish(self._drive.start_ns + round(self._end_s * SECOND_NS))
-        except BaseException as late:
-            self._open.__exit__(type(late), late, late.__traceback__)
-            raise
-        self._open.__exit__(kind, error, trace)
+        opened, self._open = self._open, None
+        assert opened
+        if error:
+            opened.__exit__(kind, error, trace)  # captures stay as they were
+            return
+        with opened:
+            if self._end_s is None:
+                raise LidarcfgError("no rays were written")
+            for capture in self._captures:
+                capture.send((), TIME_END_NS)
+            for cloud in self._clouds:
+                cloud.save()
+            duration_ns = round(self._end_s * SECOND_NS)
+        for capture in self._captures:  # which are in place now
+            capture.save_companions(duration_ns)
 
     def write(self, rays: RayBatch, ranges_m: Any, intensity: Any) -> None:
         """Write what a batch of N rays hit, the batches of the drive in their order.
@@ -106,40 +106,47 @@ class Writer:
         per cent, and above for retro-reflectors. Arrays are numpy's, or anything on the CPU with `__dlpack__` or
         `__array_interface__`. Raises LidarcfgError.
         """
+        if not self._open:
+            raise LidarcfgError("a writer writes from entering to leaving it: with Writer(…) as writer")
         range_m, bright = _returns(rays, ranges_m, intensity)
-        row = 0
-        sent = []
+        self._check_order(rays)
+        ends = np.cumsum([len(one.batch.firings.time_ns) for one in rays.packets])
+        parts = [slice(end - len(one.batch.firings.time_ns), end) for end, one in zip(ends, rays.packets, strict=True)]
+        seen = [self._reported(one, range_m[rows], bright[rows]) for one, rows in zip(rays.packets, parts, strict=True)]
+        if self._codecs:
+            self._send(rays, seen)
+        for cloud in self._clouds:
+            for one, rows, some in zip(rays.packets, parts, seen, strict=True):
+                cloud.points.append(_points(self._drive.rig.mounts, one, rays, rows, *some))
         for one in rays.packets:
-            rows = slice(row, row := row + len(one.batch.firings.time_ns))
-            self._check_order(one)
-            seen_m, seen = self._reported(one, range_m[rows], bright[rows])
-            if self._packets and len(one.batch.sent_ns):
-                payloads = self._codecs[one.sensor.index].encode(one.sensor.mount, one.batch, seen_m, seen)
-                sent.append(Sent(2 * one.sensor.index, one.sensor.mount, payloads))
-            if self._points:
-                cloud = _points(self._drive.rig.mounts, one, rays, rows, seen_m, seen)
-                for output in self._outputs:
-                    output.draw(cloud)
-        begin_ns, end_ns = (round(at_s * SECOND_NS) for at_s in (rays.start_s, rays.end_s))
-        if self._packets:
-            sent += self._housekeeping(range(begin_ns, end_ns))
-            known_ns = min(
-                sensor.start_ns + sensor.packets(end_ns) * sensor.timing.pace(sensor.mount).period_ns
-                for sensor in self._drive.sensors
-            )
-            for output in self._outputs:
-                output.send(sent, known_ns // 1000 * 1000)
-        self._begun = True
+            self._written[one.sensor.index] = one.first + len(one.batch.firings.time_ns)
         self._end_s = rays.end_s
 
-    def _check_order(self, one: FiredPackets) -> None:
-        """Raises LidarcfgError unless these are the sensor's next packets."""
-        index = one.sensor.index
-        if one.sensor is not self._drive.sensors[index]:
-            raise LidarcfgError("the rays are of another drive")
-        if self._begun and one.first != self._written[index]:
-            raise LidarcfgError("the rays do not follow those before; write each batch of the drive once, in its order")
-        self._written[index] = one.first + len(one.batch.firings.time_ns)
+    def _check_order(self, rays: RayBatch) -> None:
+        """Raises LidarcfgError unless these are the drive's next packets."""
+        for one in rays.packets:
+            if one.sensor is not self._drive.sensors[one.sensor.index]:
+                raise LidarcfgError("the rays are of another drive")
+            if self._end_s is not None and one.first != self._written[one.sensor.index]:
+                what = "the rays do not follow those before"
+                raise LidarcfgError(f"{what}; write each batch of the drive once, in its order")
+
+    def _send(self, rays: RayBatch, seen: Sequence[tuple[Array, Bytes]]) -> None:
+        """Send what the sensors report, and their other packets."""
+        begin_ns, end_ns = (round(at_s * SECOND_NS) for at_s in (rays.start_s, rays.end_s))
+        sent = []
+        for one, returns in zip(rays.packets, seen, strict=True):
+            if len(one.batch.sent_ns):
+                mount = one.sensor.mount
+                payloads = self._codecs[one.sensor.index].encode(mount, one.batch, *returns)
+                sent.append(Sent(2 * one.sensor.index, mount, payloads))
+        sent += self._housekeeping(range(begin_ns, end_ns))
+        known_ns = min(
+            sensor.start_ns + sensor.packets(end_ns) * sensor.timing.pace(sensor.mount).period_ns
+            for sensor in self._drive.sensors
+        )
+        for stream in self._streams:
+            stream.send(sent, known_ns // 1000 * 1000)
 
     def _reported(self, one: FiredPackets, range_m: Array, intensity: Bytes) -> tuple[Array, Bytes]:
         """Ranges and intensities of returns (N, R) as a sensor's mode has them, which may be fewer or more."""
@@ -241,33 +248,37 @@ def _points(
     )
 
 
-def _output(drive: Drive, name: str, on_warning: Callable[[str], None]) -> "_Capture | _Host | _Cloud":
-    if name.startswith(UDP):
-        return _Host(name)
-    suffix = Path(name).suffix.lower()
-    if suffix == ".pcap":
-        return _Capture(drive, Path(name), on_warning)
-    if suffix in SUFFIXES:
-        return _Cloud(Path(name))
-    raise LidarcfgError(f"{name}: is no output; allowed: .pcap, {', '.join(SUFFIXES)}, {UDP}HOST[:PORT]")
+def _check(path: Path) -> None:
+    """Raises LidarcfgError unless the path can be written."""
+    try:
+        check_replaceable(path)
+    except OSError as error:
+        raise PacketError.from_os(path, error) from None
 
 
-class _Capture(ExitStack):
+class _Capture:
     """A capture, with the files that readers need and a manifest."""
 
     def __init__(self, drive: Drive, path: Path, on_warning: Callable[[str], None]) -> None:
-        super().__init__()
+        _check(path)
+        _check(manifest_path(path))
         self._drive = drive
         self._path = path
         self._on_warning = on_warning
         self._waiting: list[tuple[int, int, bytes]] = []  # records that others may come before: time, stream
 
-    def __enter__(self) -> "_Capture":
-        self._file = self.enter_context(replacing(self._path, "wb"))
-        self._file.write(FILE_HEADER)
-        return self
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """Take packets; the file is in place when this ends without an error."""
+        try:
+            with replacing(self._path, "wb") as self._file:
+                self._file.write(FILE_HEADER)
+                yield
+        except OSError as error:
+            raise PacketError.from_os(self._path, error) from None
 
     def send(self, sent: Sequence[Sent], known_ns: int) -> None:
+        """Write packets. All that leave before `known_ns` have come."""
         for one in sent:
             made = ethernet_frames(one.mount.host, one.payloads)
             times = made.time_ns.tolist()
@@ -277,33 +288,35 @@ class _Capture(ExitStack):
         self._file.write(b"".join(record for *_, record in self._waiting[:ready]))
         del self._waiting[:ready]
 
-    def draw(self, points: PointCloud) -> None:
-        """A capture has none."""
-
-    def finish(self, end_ns: int) -> None:
-        self.send((), end_ns + SECOND_NS)
+    def save_companions(self, duration_ns: int) -> None:
+        """Write the files beside the capture, and remove those of an earlier one."""
         save_sidecar_files(self._path, self._drive.rig.mounts)
-        duration_ns = end_ns - self._drive.start_ns
-        ManifestInputs.of_rig(self._drive, duration_ns, self._path, DriveInputs()).save(self._path, self._on_warning)
+        inputs = ManifestInputs.of_rig(self._drive, duration_ns, self._path, DriveInputs())
+        remove_outdated(inputs.outdated(self._path))
+        inputs.save(self._path, self._on_warning)
 
 
-class _Host(ExitStack):
-    """A host on the network, to which each packet is sent when its time has come, or later."""
+class _Hosts:
+    """Hosts on the network, to which each packet is sent when its time has come, or later."""
 
-    def __init__(self, target: str) -> None:
-        super().__init__()
-        self._name, _, port = target.removeprefix(UDP).partition(":")
-        if port and not (port.isascii() and port.isdigit() and 1 <= int(port) <= 65535):
-            raise LidarcfgError(f"{target}: {port!r} is not a port, 1 to 65535")
-        self._port = int(port or 0)
-        self._receiver = receiver_address(self._name)
+    def __init__(self, targets: Sequence[str]) -> None:
+        self._receivers = []
+        for target in targets:
+            name, _, port = target.removeprefix(UDP).partition(":")
+            if port and not (port.isascii() and port.isdigit() and 1 <= int(port) <= 65535):
+                raise LidarcfgError(f"{target}: {port!r} is not a port, 1 to 65535")
+            self._receivers.append((name, receiver_address(name), int(port or 0)))
         self._zero_s: float | None = None  # of the clock, when the drive's time was 0
 
-    def __enter__(self) -> "_Host":
-        self._senders = self.enter_context(Senders(self._receiver))
-        return self
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """Take packets."""
+        with ExitStack() as opened:
+            self._senders = [opened.enter_context(Senders(address)) for _, address, _ in self._receivers]
+            yield
 
     def send(self, sent: Sequence[Sent], known_ns: int) -> None:
+        """Send packets, each at its time relative to the first."""
         rows = [
             (at_ns, one.stream, row, one) for one in sent for row, at_ns in enumerate(one.payloads.time_ns.tolist())
         ]
@@ -313,32 +326,26 @@ class _Host(ExitStack):
                 self._zero_s = now_s - at_ns / SECOND_NS
             time.sleep(max(self._zero_s + at_ns / SECOND_NS - now_s, 0))
             payloads = one.payloads
-            sender = self._senders.of(one.mount.host, payloads.header.source_port or payloads.port)
-            try:
-                sender.sendto(payloads.data[row].tobytes(), (self._receiver, self._port or payloads.port))
-            except OSError as error:
-                raise PacketError(f"{self._name}: {reason(error)}") from None
-
-    def draw(self, points: PointCloud) -> None:
-        """A host gets none."""
-
-    def finish(self, end_ns: int) -> None:
-        """All are sent."""
+            data = payloads.data[row].tobytes()
+            for (name, address, port), senders in zip(self._receivers, self._senders, strict=True):
+                try:
+                    sender = senders.of(one.mount.host, payloads.header.source_port or payloads.port)
+                    sender.sendto(data, (address, port or payloads.port))
+                except OSError as error:
+                    raise PacketError(f"{name}: {reason(error)}") from None
 
 
-class _Cloud(ExitStack):
+class _Cloud:
     """A file of points."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__()
+        if path.suffix.lower() not in SUFFIXES:
+            allowed = f".pcap, {', '.join(SUFFIXES)}, {UDP}HOST[:PORT]"
+            raise LidarcfgError(f"{path}: is no output; allowed: {allowed}")
+        _check(path)
         self._path = path
-        self._clouds: list[PointCloud] = []
+        self.points: list[PointCloud] = []
 
-    def send(self, sent: Sequence[Sent], known_ns: int) -> None:
-        """A cloud has no packets."""
-
-    def draw(self, points: PointCloud) -> None:
-        self._clouds.append(points)
-
-    def finish(self, end_ns: int) -> None:
-        save_clouds(self._path, self._clouds)
+    def save(self) -> None:
+        """Write them."""
+        save_clouds(self._path, self.points)

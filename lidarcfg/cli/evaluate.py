@@ -63,8 +63,7 @@ def evaluate(
         )
         from lidarcfg.report.rig_report import Commands
         from lidarcfg.sensors.rig import load_rig
-        from lidarcfg.study.evaluation import evaluate as evaluation
-        from lidarcfg.study.evaluation import robustness
+        from lidarcfg.study import evaluation
         from lidarcfg.study.loading import load_study
 
         loaded = load_study(study)
@@ -76,9 +75,13 @@ def evaluate(
     with progress(quiet or as_json, keep=False) as on_progress:
         beside = baseline_of(loaded, baseline, on_progress)
         on_progress(0.0, f"evaluating {rig}")
-        found = evaluation(loaded, mounted, tolerance, on_progress=lambda done: on_progress(done, f"evaluating {rig}"))
+
+        def on_fraction(done: float) -> None:
+            on_progress(done, f"evaluating {rig}")
+
+        found = evaluation.evaluate(loaded, mounted, tolerance, on_progress=on_fraction)
         shown = report_inputs(loaded, mounted, found) if output or beside else None
-        found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
+        found = shown.evaluation if shown else replace(found, robustness=evaluation.robustness(loaded, mounted))
         if output and shown:
             commands = Commands(command_line(), command_line())
             save_evaluation(loaded, mounted, shown, output, commands, beside)
@@ -97,14 +100,14 @@ def baseline_of(study: "Study", path: Path | None, on_progress: OnProgress) -> "
     from lidarcfg.report.inputs import report_inputs
     from lidarcfg.report.rig_report import Baseline
     from lidarcfg.sensors.rig import load_rig
-    from lidarcfg.study.evaluation import evaluate as evaluation
+    from lidarcfg.study.evaluation import evaluate
 
     if path is None:
         return None
     on_progress(0.0, f"evaluating {path}")
     rig = load_rig(path)
     check_rig(study, path, rig)
-    return Baseline(rig, str(path), report_inputs(study, rig, evaluation(study, rig)).without_cuboids())
+    return Baseline(rig, str(path), report_inputs(study, rig, evaluate(study, rig)).without_cuboids())
 
 
 def check_rig(study: "Study", path: Path, rig: "Rig") -> None:

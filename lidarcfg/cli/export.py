@@ -122,7 +122,7 @@ def export(**given: Any) -> None:
         if options.is_capture:
             check_replaceable(path)
         check_replaceable(manifest_path(path))
-    rays = Rays()
+    rays = RayTally()
     lines = _export_packets(options, drive, rays) if options.is_capture else _export_points(options, drive, rays)
     for line in [] if options.quiet else lines:
         click.echo(line)
@@ -177,7 +177,7 @@ class ExportOptions:
 
 
 @dataclass
-class Rays:
+class RayTally:
     """The rays of an export so far."""
 
     traced: int = 0
@@ -195,7 +195,7 @@ class Rays:
 
 
 @contextmanager
-def _run(duration_ns: int, size: "Size", rays: Rays, quiet: bool) -> "Iterator[SimulationOptions]":
+def _run(duration_ns: int, size: "Size", rays: RayTally, quiet: bool) -> "Iterator[SimulationOptions]":
     """A run with a progress bar, which says how large the files will be, and counts the rays."""
     from lidarcfg.simulate.sensor_runs import SimulationOptions
 
@@ -213,7 +213,7 @@ def _run(duration_ns: int, size: "Size", rays: Rays, quiet: bool) -> "Iterator[S
         yield SimulationOptions(on_progress, rays.add)
 
 
-def _export_packets(options: ExportOptions, drive: "SceneDrive", rays: Rays) -> list[str]:
+def _export_packets(options: ExportOptions, drive: "SceneDrive", rays: RayTally) -> list[str]:
     """Write one pcap, or with `split` one of each sensor, and the files that readers need. Returns what to print."""
     from contextlib import ExitStack
 
@@ -265,7 +265,7 @@ def _export_packets(options: ExportOptions, drive: "SceneDrive", rays: Rays) -> 
     return lines + [f"{truth}: {records:,} returns"] * bool(truth)
 
 
-def _export_points(options: ExportOptions, drive: "SceneDrive", rays: Rays) -> list[str]:
+def _export_points(options: ExportOptions, drive: "SceneDrive", rays: RayTally) -> list[str]:
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.clouds.cloud import row_bytes
     from lidarcfg.errors import LidarcfgError

@@ -166,7 +166,7 @@ class Method(click.Choice):  # type: ignore[type-arg]  # the oldest click's is n
 )
 @cloup.option_group(
     "Budget",
-    cloup.option("--cycles", type=click.IntRange(1), metavar="N", help="Stop after N cycles of the swarm."),
+    cloup.option("--cycles", type=click.IntRange(1), metavar="N", help="Stop after N cycles of the solver."),
     cloup.option("--evaluations", type=click.IntRange(1), metavar="N", help="Stop after N evaluated rigs."),
     cloup.option("--seconds", type=Seconds(10**9), metavar="SECONDS", help="Stop after this time."),
     help="These replace the study's budget.",

@@ -100,7 +100,11 @@ def _check_firing(study: Study) -> None:
 
 
 def place(study: Study, threads: int | None = None) -> Rig:
-    """The rig of a study that costs least: the one that `optimize` finds, which also logs, resumes and evaluates."""
+    """The rig of a study that costs least, by the bare loop.
+
+    It is the one that `optimize` finds where max VSR alone is minimised. Searches by misses and requirements add plain
+    rigs, more places and verdicts.
+    """
     solver = study.solver.begin(study.space.coordinates)  # minimises over the unit cube, and knows no LiDARs
     search = SearchRun(study, solver)  # keeps the best trial
     budget = Budget.of(study.solver)

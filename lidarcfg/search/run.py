@@ -103,7 +103,7 @@ class Budget:
     evaluations: int | None
     cycles: int | None
     seconds: float
-    deadline: float  # of `clock`
+    deadline: float  # of time.perf_counter
 
     @classmethod
     def of(cls, solver: Solver) -> "Budget":
@@ -277,7 +277,7 @@ class SearchRun:
     def _evaluated(self, trials: Trials, evaluator: Evaluator, count: int, deadline: float) -> Array:
         """(count, 2) the costs of the first trials, or inf where one is not below its upper bound.
 
-        Fewer if the `deadline` (of `clock`) passes meanwhile.
+        Fewer if the `deadline` (of time.perf_counter) passes meanwhile.
         """
         study = self.study
         source_poses = study.space.poses(self._search.sources)

@@ -24,10 +24,11 @@ from lidarcfg.sensors.sensor import Range
 from lidarcfg.simulate.aim import aim
 from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
 from lidarcfg.world.geodesy import GeoOrigin
-from lidarcfg.world.motion import Trajectory, load_path
+from lidarcfg.world.motion import Trajectory, are_poses, load_path
 
 ANYWHERE = GeoOrigin()
 STEP_S = 0.1
+EDGE = 1e-9  # of a step, by which sums of steps may miss the end
 SKIPPED = 4096  # packets that are left out at a time
 
 
@@ -109,7 +110,7 @@ class RayBatch:
     time_ns: Times  # (N,) when each is fired
     sensor: NDArray[np.uint16]  # (N,) its number in the rig
     channel: Bytes  # (N,) of the sensor, from 0
-    column: Times  # (N,) how often this channel has fired before
+    column: Times  # (N,) how often this channel has fired before, since the drive's start
     start_s: float  # since the drive's start
     end_s: float  # all packets that are complete by then are in this batch or in one before
     packets: tuple[FiredPackets, ...]  # of each sensor, for the writer
@@ -133,10 +134,14 @@ class Drive:
         origin: GeoOrigin = ANYWHERE,
     ) -> None:
         self.rig = loaded(rig, load_rig, Rig)
+        if at is not None and not (np.shape(at) == (4, 4) and are_poses(np.asarray(at, np.float64)[None])[0]):
+            raise LidarcfgError("at is no pose; allowed: T_world_vehicle (4, 4), a rotation and a shift")
         if not isinstance(trajectory, Trajectory):
             trajectory = trajectory_of(at, trajectory, start_ns)
         elif at is not None:
             raise LidarcfgError("at is given beside a trajectory that says where it starts; allowed: one of them")
+        if not (isinstance(start_ns, int) and 0 <= start_ns < TIME_END_NS):
+            raise LidarcfgError(f"start_ns is {start_ns}; allowed: whole, from 0 to below {TIME_END_NS}")
         self.trajectory = trajectory
         self.start_ns = start_ns
         self.origin = origin
@@ -175,7 +180,7 @@ def _edges_s(start_s: float, end_s: float, step_s: float) -> Iterator[float]:
     """The start, the end and the times between them, a step apart."""
     for n in count():
         at_s = start_s + n * step_s
-        if at_s >= end_s:
+        if at_s >= end_s - EDGE * step_s:
             break
         yield at_s
     yield end_s

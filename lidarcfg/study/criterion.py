@@ -130,7 +130,10 @@ class Criterion:
 
 
 def objective_of(study: Study, poses: Array) -> float:
-    """The objective of one rig's poses (slots, 6), computed in full: by definition, what a search minimises."""
+    """The objective of one rig's poses (slots, 6), computed in full: by definition, what a search minimises.
+
+    Misses are counted at fresh places; a search counts them at its own.
+    """
 
     def at(where: Array) -> Trial:
         return Trial(study.region, lidars_at(study.slots, where), study.visibility)

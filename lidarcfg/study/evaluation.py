@@ -177,7 +177,7 @@ def evaluate(
     on_progress: Callable[[float], None] = lambda fraction: None,
     verdict: Verdict | None = None,
 ) -> Evaluation:
-    """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
+    """A rig's misses, max VSR, worst subspaces, detection rates and verdict; the study's bounds are not enforced.
 
     Study and rig are files, dicts with their keys, or loaded. With a relative tolerance also max VSR extrapolated to
     ever smaller cuboids, to that tolerance. `on_progress` is told the fraction done of the objects that are detected by

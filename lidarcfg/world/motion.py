@@ -198,9 +198,7 @@ class Trajectory:
         if not (np.diff(times) > 0).all() or not abs(times).max() <= TIME_LIMIT_S:
             raise ConfigError(f"times must ascend and be within {TIME_LIMIT_S:g} s of the start")
         R = T[:, :3, :3]
-        rigid = (abs(np.einsum("nij,nkj->nik", R, R) - np.eye(3)) <= UNIT).all(axis=(1, 2))
-        rigid &= (np.cross(R[:, 0], R[:, 1]) * R[:, 2]).sum(axis=1) > 0  # no mirror
-        wrong = np.flatnonzero(~(rigid & (abs(T[:, :3, 3]) <= LIMIT).all(axis=1)))
+        wrong = np.flatnonzero(~are_poses(T))
         if len(wrong):
             raise ConfigError(f"pose {wrong[0]} is no rotation and shift of up to {LIMIT:g} m")
         return cls(np.eye(4), _path(Motion.model_construct(poses=()), times, T[:, :3, 3].copy(), R.copy()), zero_ns)
@@ -234,6 +232,14 @@ class Trajectory:
             ends = np.clip(ends, *(self.zero_ns + np.round(self.path.times_s[[0, -1]] * SECOND_NS).astype(np.int64)))
         before, after = (rotated(self.T_world_start[:3, :3], self.motion(end)[1]) for end in ends)
         return np.asarray((after - before) * (SECOND_NS / np.diff(ends, axis=0).T))
+
+
+def are_poses(T: Array) -> NDArray[np.bool_]:
+    """(n,) which of the matrices (n, 4, 4) are a rotation and a shift of up to LIMIT."""
+    R = T[:, :3, :3]
+    rigid = (abs(np.einsum("nij,nkj->nik", R, R) - np.eye(3)) <= UNIT).all(axis=(1, 2))
+    rigid &= (np.cross(R[:, 0], R[:, 1]) * R[:, 2]).sum(axis=1) > 0  # no mirror
+    return np.asarray(rigid & (abs(T[:, :3, 3]) <= LIMIT).all(axis=1))
 
 
 def rotate(R: Array, vectors: Array) -> Array:

@@ -1,6 +1,7 @@
 """What a writer makes of rays that others cast, held against `export`, which traces them itself."""
 
 import socket
+from dataclasses import replace
 from threading import Thread
 
 import numpy as np
@@ -25,8 +26,6 @@ from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import STREET, no_warning
 from tests.refusals import refused
-
-FAR_M = 1e9
 
 
 def modes() -> list[tuple[str, str]]:
@@ -202,6 +201,50 @@ def test_after_an_error_nothing_is_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_where_one_output_fails_none_is_left(tmp_path):
+    drive = Drive(rig_of("vlp-16"))
+    (tmp_path / "file").write_text("no folder")
+    with refused("a.ply: "), Writer(drive, tmp_path / "a.pcap", tmp_path / "file/a.ply") as writer:
+        for rays in drive.firings(0, 0.02):
+            writer.write(rays, np.full(len(rays.time_ns), 5.0), np.full(len(rays.time_ns), 5))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_an_earlier_manifest_is_not_left_beside_a_capture_that_can_have_none(tmp_path):
+    """The sensor's range was changed in Python, which no file says."""
+    path = tmp_path / "a.pcap"
+    written(path, rig_of("vlp-16"), 0.01, 0.01)
+    assert load_manifest(path)
+    rig = rig_of("vlp-16")
+    sensor = rig.mounts[0].sensor.model_copy(update={"name": "mine"})
+    rig = replace(rig, mounts=(replace(rig.mounts[0], sensor=sensor, model=None),))
+    drive = Drive(rig)
+    said = []
+    with Writer(drive, path, on_warning=said.append) as writer:
+        for rays in drive.firings(0, 0.01):
+            writer.write(rays, np.full(len(rays.time_ns), 5.0), np.full(len(rays.time_ns), 5))
+    assert [one.name for one in tmp_path.iterdir()] == ["a.pcap"]
+    assert "is not written, as sensors of the rig are in no file" in said[0]
+
+
+def test_modes_may_be_mixed(tmp_path):
+    """The second return of a ray is for the sensor that reports two."""
+    sensors = [
+        {"name": "one", "model": "vlp-16", "position_m": [0, 0, 2]},
+        {"name": "both", "model": "vlp-16", "position_m": [0, 1, 2], "return_mode": "dual"},
+    ]
+    rig = load_rig({"name": "rig", "sensors": sensors})
+    drive = Drive(rig)
+    with Writer(drive, tmp_path / "a.pcap") as writer:
+        for rays in drive.firings(0, 0.02):
+            range_m = np.tile([4.0, 9.0], (len(rays.time_ns), 1))
+            range_m[rays.sensor == 0, 1] = np.nan
+            writer.write(rays, range_m, np.tile([80, 20], (len(range_m), 1)))
+    cloud = concatenate(list(decode_pcap(tmp_path / "a.pcap", no_warning, rig)))
+    assert set(cloud.return_type[cloud.sensor == 0].tolist()) == {0}
+    assert set(cloud.return_type[cloud.sensor == 1].tolist()) == {0, 1}
+
+
 def test_wrong_ranges_are_said(tmp_path):
     drive = Drive(rig_of("vlp-16"))
     rays = next(drive.firings(0, 0.01))
@@ -229,8 +272,15 @@ def test_wrong_ranges_are_said(tmp_path):
         writer.write(rays, ones, ones)
     with refused("a.txt: is no output; allowed: .pcap, .ply, .pcd, .npz, udp://HOST[:PORT]"):
         Writer(drive, "a.txt")
-    with refused("no output; allowed: a .pcap, udp://HOST[:PORT], or a cloud"):
+    with refused("no output; allowed: each a .pcap, udp://HOST[:PORT], or a cloud"):
         Writer(drive)
+    with refused("a.ply, a.ply: one is given twice"):
+        Writer(drive, "a.ply", "a.ply")
+    with refused("a writer writes from entering to leaving it"):
+        Writer(drive, tmp_path / "a.pcap").write(rays, ones, ones)
+    with refused("no rays were written"), Writer(drive, tmp_path / "a.pcap", tmp_path / "a.ply"):
+        pass
+    assert list(tmp_path.iterdir()) == []
     with refused("udp://127.0.0.1:x: 'x' is not a port, 1 to 65535"):
         Writer(drive, "udp://127.0.0.1:x")
 

@@ -85,6 +85,7 @@ def test_steps_divide_the_firings_and_lose_none(step_s):
 def test_without_an_end_there_are_always_more():
     steps = Drive(RIG).firings(step_s=0.01)
     assert [round(next(steps).end_s, 9) for _ in range(5)] == [0.01, 0.02, 0.03, 0.04, 0.05]
+    assert [rays.end_s for rays in Drive(RIG).firings(0, 0.03, 0.01)] == [0.01, 0.02, 0.03]
 
 
 @pytest.mark.parametrize("name", sorted(catalogue()))
@@ -127,5 +128,11 @@ def test_what_is_no_drive_is_said():
         next(drive.firings(0, 1, frame="sensor"))
     with refused("at is given beside a trajectory that says where it starts; allowed: one of them"):
         Drive(RIG, moving(), at=np.eye(4))
+    for at in (np.eye(3), 2 * np.eye(4), np.full((4, 4), math.nan)):
+        with refused("at is no pose; allowed: T_world_vehicle (4, 4), a rotation and a shift"):
+            Drive(RIG, at=at)
+    for start_ns in (-1, 1.5, 2**62):
+        with refused(f"start_ns is {start_ns}; allowed: whole, from 0 to below 4294967296000000000"):
+            Drive(RIG, start_ns=start_ns)
     with refused("a pose is needed at 0.999309 to 1.09882 s; the timed poses cover 0 to 1 s"):
         list(Drive(RIG, moving()).firings(1.0, 1.1))
