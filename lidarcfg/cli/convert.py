@@ -171,8 +171,10 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "SceneDrive | None":
         raise click.UsageError(
             f"{name} needs the objects of points; give the --truth that export wrote with the capture"
         )
-    hint = "--rig takes the sensors' poses alone" if name not in FOLDERS and not truth else "export it again"
-    inputs = load_manifest(capture).inputs(hint)
+    whole = name in FOLDERS or truth is not None
+    alone = "--rig takes the sensors' poses alone"
+    inputs = load_manifest(capture).inputs("export it again" if whole else alone)
     if not inputs.scene:
-        raise ConfigError(f"{beside}: names no scene; export with the scene's file")
+        wanted = "export with the scene's file" if whole else alone
+        raise ConfigError(f"{beside}: names no scene; {wanted}")
     return inputs.load()

@@ -7,6 +7,7 @@ from threading import Thread
 import numpy as np
 import open3d
 import pytest
+from mcap.reader import make_reader
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.export import in_time_order, simulated_packets
@@ -25,6 +26,7 @@ from lidarcfg.world.motion import Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import STREET, no_warning
+from tests.command_line import lidarcfg
 from tests.refusals import refused
 
 
@@ -199,6 +201,20 @@ def test_after_an_error_nothing_is_written(tmp_path):
     ):
         writer.write(next(drive.firings(0, 0.1)), np.ones(3), np.ones(3))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_capture_without_a_scene_becomes_a_bag_by_its_rig(tmp_path):
+    """KITTI needs a scene."""
+    written(tmp_path / "a.pcap", rig_of("os1-32", "vlp-16"), 0.2, 0.1, driven())
+    alone = "a.pcap.yaml: names no scene; --rig takes the sensors' poses alone"
+    assert alone in lidarcfg("convert", "a.pcap", "-o", "a.mcap", cwd=tmp_path, code=2).stderr
+    lidarcfg("convert", "a.pcap", "-o", "a.mcap", "--rig", "a.pcap.rig.yaml", cwd=tmp_path)
+    with open(tmp_path / "a.mcap", "rb") as file:
+        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    assert "/tf_static" in topics
+    assert any("s0" in topic for topic in topics)
+    words = "convert", "a.pcap", "-o", "kitti", "--to", "kitti-odometry", "--truth", "x.npz"
+    assert "a.pcap.yaml: names no scene; export with" in lidarcfg(*words, cwd=tmp_path, code=2).stderr
 
 
 def test_where_one_output_fails_none_is_left(tmp_path):

@@ -134,7 +134,7 @@ def test_what_a_manifest_lacks_is_said(tmp_path):
     assert told == [f"{manifest}: names no scene, which is in no file; view and convert need it"]
     assert lidarcfg.decode(out).sensor_names == ("left", "right")
     done = command_line.lidarcfg("convert", out, "-o", tmp_path / "a.mcap", code=2)
-    assert "a.pcap.yaml: names no scene; export with the scene's file" in done.stderr
+    assert "a.pcap.yaml: names no scene; --rig takes the sensors' poses alone" in done.stderr
     for given, at, what in (
         (replace(rig, mounts=(own,)), None, "sensors of the rig are in no file"),
         (rig, np.diag([1.0, -1, 1, 1]), "the vehicle's pose is not rigid"),
