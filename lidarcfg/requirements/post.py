@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lidarcfg.config.models import validation_error
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.requirements.evidence import Evidence, MountMargins, sensor_views, with_one_off
 from lidarcfg.requirements.judge import Judge, Requirement, TrialRig
 from lidarcfg.requirements.kind import Context, Entry, Kind, Lost, Sectors
@@ -29,7 +29,6 @@ from lidarcfg.returns.post_visibility import (
     RUN_M,
     STEP_M,
     WIDTH_M,
-    Flags,
     PostPlaces,
     PostVisibility,
 )

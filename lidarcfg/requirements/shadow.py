@@ -7,11 +7,10 @@ from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.requirements.evidence import Evidence, MountMargins, with_one_off
 from lidarcfg.requirements.judge import Judge, Requirement, TrialRig
 from lidarcfg.requirements.kind import Context, Entry, Kind, Lost
@@ -32,7 +31,6 @@ HEIGHT_M = 0.0, 2.0
 POINTS_MAX = 20_000_000
 KEPT_BYTES = 1 << 26  # of what is seen from sensors' latest places
 
-Flags = NDArray[np.bool_]
 
 Heights = Annotated[tuple[Annotated[float, Field(ge=0, le=SIZE_MAX_M)], Size], AfterValidator(ascending)]
 

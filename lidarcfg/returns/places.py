@@ -9,14 +9,13 @@ from typing import Annotated
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 from shapely.geometry.base import BaseGeometry
 
 from lidarcfg import maths
 from lidarcfg.config.models import validation_error
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.inputs import check_memory
 from lidarcfg.sensors.rig import Distance
 from lidarcfg.world.footprint import Footprint
@@ -35,8 +34,6 @@ SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 DRAWN_AT_A_TIME = 1 << 11  # a power of 2, as Sobol's sequence asks for
 TRIES_MAX = 1 << 22
 FIT_M = 1e-9  # by which an object may reach over the zone's side, for rounding
-
-Flags = NDArray[np.bool_]
 
 
 def ascending(value: tuple[float, float]) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from lidarcfg import maths
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.returns.known import lowest_at
 from lidarcfg.returns.places import StandZone
 from lidarcfg.returns.target import box_target
@@ -29,8 +29,6 @@ STEP_M = 0.05  # between two posts of an azimuth
 WIDTH_M = 0.1
 RUN_M = 0.5  # without a gap: from its beginning on, a post counts as seen
 LIMIT_M = 10.0  # from the body: as far out gaps count
-
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

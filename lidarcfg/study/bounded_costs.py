@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import vsr as core
 from lidarcfg.futures import Counter, parallel_for
-from lidarcfg.geometry import Array, level, up
+from lidarcfg.geometry import Array, Flags, level, up
 from lidarcfg.inputs import check_memory
 from lidarcfg.study.criterion import Criterion
 from lidarcfg.study.trial import Trial
@@ -37,7 +37,6 @@ CERTIFICATES = 12  # of a food source, see core/vsr/evaluator.h
 FEW = 8  # LiDARs; a trial of at most this many takes as long as its cuboids, one of more proportionally longer
 PAUSE = 10  # batches without certificates after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 def slice_of(cuboids: int, threads: int) -> int:

@@ -9,9 +9,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.requirements.robustness import mounted
 from lidarcfg.returns.known import KnownReturns
 from lidarcfg.sensors.rig import Mount
@@ -26,7 +25,6 @@ from lidarcfg.study.zones import weights
 
 SHARES = 0.2, 0.35, 0.5, 0.65, 0.8  # of the work, by which a term is bounded before any is computed
 EVERY_CASE = np.empty((0, 0), bool)
-Flags = NDArray[np.bool_]
 
 
 class Criterion:

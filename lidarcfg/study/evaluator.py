@@ -18,12 +18,11 @@ from lidarcfg.returns.known import KnownReturns
 from lidarcfg.returns.misses import SEARCH_PLACES
 from lidarcfg.solvers.search import Cost, is_below, of_objectives, unbounded
 from lidarcfg.study.bounded_costs import Index
-from lidarcfg.study.objective_costs import ObjectiveCosts
+from lidarcfg.study.objective_costs import LOOK_S, ObjectiveCosts
 from lidarcfg.study.study import Study
 
 SHORTFALL_MOST = 1e5  # less than what a rig costs that violates constraints
 LEAST = math.ulp(0.0)  # the least number above 0
-LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
 SLICE_MOST = 1000
 
 

@@ -21,7 +21,7 @@ from lidarcfg.study.study import Study
 from lidarcfg.study.terms.recent import Recent
 from lidarcfg.vsr.cones import Lidar
 
-LOOK_S = 0.05  # between two looks at the clock
+LOOK_S = 0.05  # between two looks at the clock, where there is a deadline
 
 
 class ObjectiveCosts:

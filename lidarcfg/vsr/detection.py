@@ -12,14 +12,13 @@ from pydantic import Field, model_validator
 from lidarcfg import core, maths
 from lidarcfg.config.models import COORDINATE_MAX_M, Model, Name, Positive, validation_error, with_defaults
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.rig import one_of
 from lidarcfg.vsr.region import AXES, Region, cuboids_needed
 from lidarcfg.vsr.subspaces import Subspaces
 from lidarcfg.world.mesh_source import MeshSource
 
 Counts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Distances = Callable[[Array], Array]  # (P,) along the ground to an object at places (P, 4): x, y, z, heading
 Heading = Annotated[float, Field(ge=0, le=360)]
 

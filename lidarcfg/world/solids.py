@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.core import world
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.world.meshes import Mesh
 
 Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 PLACE = np.dtype((np.void, 24))  # the bits of three float64
 
 

@@ -18,7 +18,7 @@ from lidarcfg.config.models import Model, Position, Section, error_at, load, val
 from lidarcfg.core import world
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.footprint import Footprint
@@ -27,7 +27,6 @@ from lidarcfg.world.meshes import Mesh
 from lidarcfg.world.scene import Scene, build_scene
 from lidarcfg.world.scene_file import KINDS, Box, Cylinder, MeshFile, Plane, SceneFile, SceneObject, Sphere, check_names
 from lidarcfg.world.solids import (
-    Flags,
     connected_components,
     contains_box,
     inside_grid,
