@@ -38,7 +38,8 @@ SUFFIX = ".json"  # of metadata
 USUAL = tuple(
     Layout(name, pixels, 1024, columns, profile.fusa)
     for name, profile in PROFILES.items()
-    for pixels, columns in ((16, 16), (32, 16), (64, 16), (128, 16), (256, 16), (256, 8))
+    for pixels in (16, 32, 64, 128, 256)
+    for columns in ((16,) if name == "LEGACY" else (16, 8))
 )
 COLUMNS_MAX = 8192
 PACKET_COLUMNS_MAX = 64

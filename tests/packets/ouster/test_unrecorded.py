@@ -11,7 +11,7 @@ from lidarcfg.capture.ethernet import ethernet_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.selection import ALL
 from lidarcfg.clouds.cloud import PointCloud
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.ouster import encode
@@ -162,6 +162,15 @@ def test_columns_of_a_packet(tmp_path):
     sixteen = cloud_of(tmp_path / "16", mount("os0-32", columns=512), 64)
     for name in ("xyz", "time_ns", "intensity", "ring"):
         np.testing.assert_array_equal(getattr(eight, name), getattr(sixteen, name))
+
+
+@pytest.mark.parametrize(("model", "columns"), [("os1-max-256", 16), ("osdome-128", 8)])
+def test_without_metadata(tmp_path, model, columns):
+    """Packets are known to be an Ouster's by their size and first bytes, and what is missing is said."""
+    path, _ = captured(tmp_path, mount(model, profile="RNG15_RFL8_WIN8", columns_per_packet=columns), 3)
+    path.with_suffix(".json").unlink()
+    with pytest.raises(PacketError, match=r"an Ouster's packets of \d+ bytes need the sensor's metadata"):
+        decoded(path)
 
 
 @pytest.mark.parametrize("profile", ["RNG15_RFL8_WIN8", "RNG19_RFL8_SIG16_ZONE16_DUAL"])
