@@ -254,7 +254,8 @@ def find_metadata(source: PacketSource, packets: Bytes) -> Metadata:
     payload = packets[0].tobytes()
     beside = _metadata_beside(source, size)
     if not beside:
-        what = f"an Ouster's packets of {size} bytes need the sensor's metadata, a .json named as the capture beside it"
+        needed = "a .json named as the capture beside it, or one given with --sidecar"
+        what = f"an Ouster's packets of {size} bytes need the sensor's metadata, {needed}"
         there = ", ".join(source.sidecar_files(SUFFIX))
         raise PacketError(f"{source.where}: {what}" + (f"; {there} is not that" if there else ""))
     fit = [one for one in beside if is_lidar_packet(one.layout, payload)]
