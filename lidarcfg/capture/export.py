@@ -61,7 +61,7 @@ def simulated_packets(
     runner = ChunkRunner.of(options, len(runs))
     origin = scene.file.geo_origin
     return [
-        in_time_order([_data_stream(run, runner, on_truth), _housekeeping_stream(run, trajectory, origin)])
+        in_time_order([_data_stream(run, runner, trajectory, on_truth), _housekeeping_stream(run, trajectory, origin)])
         for run in runs
     ]
 
@@ -154,14 +154,17 @@ class _TracedFrames:
     truth: NDArray[np.void]  # empty if not wanted
 
 
-def _data_stream(run: SensorRun, runner: ChunkRunner, on_truth: OnTruth | None) -> Iterator[EthernetFrames]:
+def _data_stream(
+    run: SensorRun, runner: ChunkRunner, trajectory: Trajectory, on_truth: OnTruth | None
+) -> Iterator[EthernetFrames]:
     """The data packets completed within the duration, each sent when complete."""
     maker = codec(run.mount.sensor)
     mount = run.mount
 
     def make(batch: FiringBatch, found: Echoes) -> _TracedFrames:
         range_m = found.range_m + found.noise_m
-        payloads = maker.encode(mount, batch, range_m, found.reflectivity)
+        encoded = maker.encode(mount, batch, range_m, found.reflectivity)
+        payloads = maker.with_inertial(mount, trajectory, encoded)
         truth = np.empty(0, RECORD)
         if on_truth:
             types = maker.return_types(mount, range_m, found.reflectivity)

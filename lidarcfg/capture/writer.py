@@ -138,7 +138,9 @@ class Writer:
         for one, returns in zip(rays.packets, seen, strict=True):
             if len(one.batch.sent_ns):
                 mount = one.sensor.mount
-                payloads = self._codecs[one.sensor.index].encode(mount, one.batch, *returns)
+                maker = self._codecs[one.sensor.index]
+                encoded = maker.encode(mount, one.batch, *returns)
+                payloads = maker.with_inertial(mount, self._drive.trajectory, encoded)
                 sent.append(Sent(2 * one.sensor.index, mount, payloads))
         sent += self._housekeeping(range(begin_ns, end_ns))
         known_ns = min(
