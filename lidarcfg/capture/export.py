@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.ethernet import EthernetFrames, ethernet_frames
+from lidarcfg.capture.ethernet import EthernetFrames, mount_frames
 from lidarcfg.capture.ground_truth import RECORD, records
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
@@ -89,7 +89,7 @@ def data_bytes(drive: SceneDrive) -> int:
         shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
         packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
-        total += packets * sum(map(len, ethernet_frames(mount.host, packet).records))
+        total += packets * sum(map(len, mount_frames(mount, packet).records))
     return round(total)
 
 
@@ -171,7 +171,7 @@ def _data_stream(
             sent = maker.sent(mount, batch, payloads)
             fired_ns = maker.fired_ns(mount, batch, range_m)
             truth = records(run.index, types, batch.firings, fired_ns, found, sent)
-        return _TracedFrames(ethernet_frames(mount.host, payloads), truth)
+        return _TracedFrames(mount_frames(mount, payloads), truth)
 
     for chunk in map_chunks(run, runner, make):
         if on_truth:
@@ -185,4 +185,4 @@ def _housekeeping_stream(run: SensorRun, trajectory: Trajectory, origin: GeoOrig
     for begin_ns in range(0, run.duration_ns, SECOND_NS):
         due_ns = range(begin_ns, min(begin_ns + SECOND_NS, run.duration_ns))
         kinds = maker.housekeeping(run.mount, trajectory, origin, run.start_ns, due_ns)
-        yield from in_time_order([iter([ethernet_frames(run.mount.host, some)]) for some in kinds if len(some.time_ns)])
+        yield from in_time_order([iter([mount_frames(run.mount, some)]) for some in kinds if len(some.time_ns)])

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lidarcfg.capture.ethernet import ethernet_frames
+from lidarcfg.capture.ethernet import mount_frames
 from lidarcfg.capture.export import save_sidecar_files
 from lidarcfg.capture.manifest import DriveInputs, manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
@@ -282,7 +282,7 @@ class _Capture:
     def send(self, sent: Sequence[Sent], known_ns: int) -> None:
         """Write packets. All that leave before `known_ns` have come."""
         for one in sent:
-            made = ethernet_frames(one.mount.host, one.payloads)
+            made = mount_frames(one.mount, one.payloads)
             times = made.time_ns.tolist()
             self._waiting += zip(times, [one.stream] * len(times), made.records, strict=True)
         self._waiting.sort(key=lambda record: record[:2])

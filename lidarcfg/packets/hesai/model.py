@@ -249,9 +249,13 @@ class HesaiUnit(SensorUnit[HesaiFacts]):
     @property
     def lag_ns(self) -> Times:
         """(loops, L): how long the head turns from a block's azimuth to a laser's, by Hesai's firing time files."""
-        from_stamp = self.facts.packet.protocol == "6.1"  # the others count from the block's start
-        start_ns = self.facts.firing.stamp_ns if from_stamp else 0
-        return np.where(self.fires, self.offset_ns + start_ns, 0) * self.facts.turning.while_firing
+        return np.where(self.fires, self.offset_ns + self.early_ns, 0) * self.facts.turning.while_firing
+
+    @property
+    def early_ns(self) -> int:
+        """How long before a block's start its azimuth is: firing time files of protocol 6.1 count from the stamp."""
+        from_stamp = self.facts.turning.while_firing and self.facts.packet.protocol == "6.1"
+        return self.facts.firing.stamp_ns if from_stamp else 0
 
     @property
     def _counts_from_start(self) -> bool:
@@ -344,7 +348,7 @@ def _firings(unit: HesaiUnit, mount: Mount, start_ns: int, numbers: range) -> tu
     after_ns = max(unit.facts.firing.stamp_ns, 0)  # nothing fires before the start
     starts_ns = after_ns + np.arange(groups) * unit.facts.firing.period_ns
     begun = revolutions(mount.rpm, period_ns, start_ns, numbers, mount.phase_deg)
-    begin = begun[:, None] + starts_ns * (mount.rpm / MINUTE_NS)
+    begin = begun[:, None] + (starts_ns - unit.early_ns) * (mount.rpm / MINUTE_NS)
     number = np.array(numbers, np.int64)[:, None]
     group = np.arange(groups)
     loop = (number + 0 * group if dual else number * groups + group) % len(unit.lasers)

@@ -347,7 +347,7 @@ def _config(unit: OusterUnit, mode: Mode, mount: Mount) -> dict[str, Any]:
         "phase_lock_enable": mount.phase_deg is not None,
         "phase_lock_offset": round((180 - (mount.phase_deg or 180)) % 360 * 1000),
         "timestamp_mode": "TIME_FROM_PTP_1588",
-        "udp_dest": unit.facts.headers.destination_ip,
+        "udp_dest": mount.destination or unit.facts.headers.destination_ip,
         "udp_port_imu": mount.telemetry_port,
         "udp_port_lidar": mount.data_port,
         "udp_profile_imu": mode.settings.imu_profile,

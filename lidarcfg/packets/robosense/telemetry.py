@@ -76,7 +76,7 @@ def difop_packets(unit: RobosenseUnit, mount: Mount, times_ns: np.ndarray) -> Pa
     packets["tail"] = DIFOP_TAIL
     packets["rpm"] = round(mount.rpm)
     packets["host"] = host
-    packets["destination"] = [int(part) for part in headers.destination_ip.split(".")]
+    packets["destination"] = [int(part) for part in (mount.destination or headers.destination_ip).split(".")]
     packets["mac"] = [*bytes.fromhex(headers.mac_prefix.replace(":", "")), *host[1:]]
     packets["serial"] = packets["mac"]
     packets["msop_port"] = mount.data_port
