@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.config.models import Model, Section
+from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, Timing
-from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.rig import Clock, Mount
 from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -135,6 +136,13 @@ class Decoder(Protocol):
     def driver_columns(self, packets: Bytes, wanted: Flags) -> Mapping[str, NDArray[Any]]:
         """The columns (N,) of the family's `point_fields` that clouds do not have, of the same returns as `decode`."""
         return {}
+
+
+def check_clock(mount: Mount, *allowed: Clock) -> None:
+    """Raises ConfigError unless a sensor's packets can say that its clock is as the mount's `clock`."""
+    if mount.clock not in (None, *allowed):
+        what = f"clock: {mount.clock!r} is not allowed; packets of a {mount.sensor.name} say {' or '.join(allowed)}"
+        raise ConfigError(what)
 
 
 class Codec(Timing, Protocol):

@@ -13,7 +13,7 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
 from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.hesai import decode, encode, telemetry
 from lidarcfg.packets.hesai.emulator import HesaiEmulator
@@ -44,6 +44,7 @@ class Hesai(Codec):
 
     def check(self, mount: Mount) -> None:
         assert unit_of(self.unit, mount).unit_mm
+        check_clock(mount, "ptp")
         pairs = [pair.mode for pair in self.unit.facts.packet.pairs]
         if mount.dual and mount.return_mode not in pairs:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
