@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.ethernet import Datagrams
 from lidarcfg.capture.pcap import read_batches
+from lidarcfg.config.models import Section
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Bytes
 from lidarcfg.inputs import read_regular
@@ -183,6 +184,7 @@ class SourceFinder:
 
     def source(self, flow: Flow) -> PacketSource:
         """What a codec can ask about a flow."""
+        _, mount = self.mount(flow)
         return PacketSource(
             where=f"{self._path}: {flow.name}",
             host=flow.host,
@@ -190,6 +192,7 @@ class SourceFinder:
             sidecar_files=self._sidecar_files,
             payloads=partial(_payloads, self._path, flow.host),
             on_warning=self._on_warning,
+            settings=mount.settings if mount and not self._model else Section({}),
             driver_view=self._driver_view,
         )
 
