@@ -17,6 +17,7 @@ from lidarcfg.packets.seyond.decode import PacketForm, matches
 from lidarcfg.packets.seyond.layout import NORMAL, WORKING, Packets, crcs, headers_of
 from lidarcfg.packets.seyond.model import SeyondUnit
 from lidarcfg.packets.seyond.telemetry import table_packet
+from lidarcfg.units import SECOND_NS
 
 PORT = 8010
 END = b"\r\n\r\n"  # of a request
@@ -37,15 +38,19 @@ class SeyondEmulator(Emulator):
         self._port = port
         self._site = site
         self._target: Target | None = None  # of all datagrams, once a driver has said it
-        self._counter = _FrameCounter()
+        self._counter = _PassCounter()
         self._values = {
             "mode_status": f"{WORKING},{WORKING},{NORMAL},0",
             "mode": str(WORKING),
             "return_mode": str(form.mode),
             "reflectance_mode": str(REFLECTANCE),
             "roi": "0.0,0.0",
+            "frame_rate": f"{SECOND_NS / unit.sensor.pattern.frame_ns:g}",
+            "status_interval_ms": "50",  # inno_lidar_packet.h
+            "lidar_id": "0",
+            "debug": "0",
             "model": unit.name,
-            "sn": "",
+            **dict.fromkeys(("sn", "sw_version", "fw_version", "fw_state", "command_line"), ""),
         }
 
     def destination(self, port: int) -> Target:
@@ -89,7 +94,7 @@ class SeyondEmulator(Emulator):
         return _response(HTTPStatus.BAD_REQUEST, b"", what)
 
 
-class _FrameCounter:
+class _PassCounter:
     """Lets stamps, frames and numbers go on in the later passes of a capture."""
 
     def __init__(self) -> None:
