@@ -48,10 +48,9 @@ struct Fields<Surfaces> {
 
 template <>
 struct Fields<Firings> {
-  static constexpr auto members =
-      fields(field("time_ns", &Firings::time_ns), field("laser", &Firings::laser),
-             field("encoder_rad", &Firings::encoder_rad), field("elevation_rad", &Firings::elevation_rad),
-             field("start_m", &Firings::start_m));
+  static constexpr auto members = fields(
+      field("time_ns", &Firings::time_ns), field("laser", &Firings::laser), field("encoder_rad", &Firings::encoder_rad),
+      field("elevation_rad", &Firings::elevation_rad), field("start_m", &Firings::start_m));
 };
 
 template <>
