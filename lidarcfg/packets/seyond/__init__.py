@@ -32,7 +32,7 @@ __all__ = ["Seyond", "SeyondFacts", "SeyondUnit", "unit"]
 
 
 class Seyond(PatternTiming, Codec):
-    """The packets of one Seyond, whose clock is taken as set by PTP."""
+    """The packets of one Seyond."""
 
     point_fields = SEYOND
     scans = True

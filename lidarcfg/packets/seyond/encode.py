@@ -4,11 +4,11 @@ import numpy as np
 
 from lidarcfg.geometry import Array, Bytes, Flags
 from lidarcfg.packets.seyond.layout import (
+    CLOCKS,
     CONFIDENT,
     MAGIC,
     NORMAL,
     PACKET_BITS,
-    PTP_LOCKED,
     ROBIN_W,
     TICK_NS,
     WORKING,
@@ -20,7 +20,7 @@ from lidarcfg.packets.seyond.layout import (
 )
 from lidarcfg.packets.seyond.model import MODES, SeyondUnit
 from lidarcfg.sensors.firing import FiringBatch
-from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.rig import Clock, Mount
 
 
 def encode(unit: SeyondUnit, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
@@ -34,7 +34,7 @@ def encode(unit: SeyondUnit, mount: Mount, batch: FiringBatch, range_m: Array, r
     start_us = time_ns[:, 0] // 1000
     number = batch.number
     header = packets["header"]
-    write_header(header, unit, packets.itemsize)
+    write_header(header, unit, mount.clock or "ptp", packets.itemsize)
     header["start_us"] = start_us
     header["frame"] = number // frame
     header["sub_frame"] = number % frame
@@ -60,13 +60,13 @@ def encode(unit: SeyondUnit, mount: Mount, batch: FiringBatch, range_m: Array, r
     return packets
 
 
-def write_header(header: Packets, unit: SeyondUnit, size: int) -> None:
+def write_header(header: Packets, unit: SeyondUnit, clock: Clock, size: int) -> None:
     """Write what all packets of a sensor say; these have `size` bytes."""
     facts = unit.facts.packet
     header["magic"] = MAGIC
     header["major"], header["minor"] = facts.version
     header["size"] = size
-    PACKET_BITS["sync"].put(header, PTP_LOCKED)
+    PACKET_BITS["sync"].put(header, CLOCKS[clock])
     header["lidar"] = facts.lidar_type
     header["mode"] = WORKING
     header["status"] = NORMAL

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import packets as core
 from lidarcfg.geometry import Bytes
+from lidarcfg.sensors.rig import Clock
 
 Packets = NDArray[np.void]
 Integers = NDArray[np.int64]
@@ -20,7 +21,7 @@ MAGIC = 0x176A
 HALF_TURN = 32768  # units of angles
 WORKING = 3  # the lidar's mode
 NORMAL = 2  # its status
-PTP_LOCKED = 7  # the clock
+CLOCKS: Mapping[Clock, int] = {"free": 0, "gps": 4, "ptp": 7}  # what sets the clock, and that it does
 CONFIDENT = 3  # of the frame's points, at most
 TICK_NS = 10_000  # the unit of a block's time
 SINGLE = 1  # return modes

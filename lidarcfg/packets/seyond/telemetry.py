@@ -9,17 +9,17 @@ from lidarcfg.packets.codec import PacketSource, Payloads
 from lidarcfg.packets.seyond.encode import write_header
 from lidarcfg.packets.seyond.layout import MAGIC, PACKET_BITS, TABLE, TABLE_PACKET, Packets, bytes_of, crcs
 from lidarcfg.packets.seyond.model import SeyondUnit
-from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.rig import Clock, Mount
 from lidarcfg.units import SECOND_NS
 
 SUFFIX = ".anglehv"  # of a file with such a packet, as a sensor gives it to who asks
 
 
-def table_packet(unit: SeyondUnit, angles: Packets) -> Packets:
+def table_packet(unit: SeyondUnit, angles: Packets, clock: Clock = "ptp") -> Packets:
     """(1,) the packet of a sensor's table of angles (FACETS, TURNS, SETS, 8)."""
     packets: Packets = np.zeros(1, TABLE_PACKET)
     header = packets["header"]
-    write_header(header, unit, packets.itemsize)
+    write_header(header, unit, clock, packets.itemsize)
     header["item_size"] = packets.dtype["table"].itemsize
     PACKET_BITS["type"].put(header, TABLE)
     PACKET_BITS["count"].put(header, 1)
@@ -35,7 +35,7 @@ def table_payloads(unit: SeyondUnit, mount: Mount, start_ns: int, due_ns: range)
     assert headers.table
     first, end = (-(-at_ns // SECOND_NS) for at_ns in (due_ns.start, due_ns.stop))
     sent_ns = (start_ns + np.arange(first, end) * SECOND_NS) // 1000 * 1000
-    data = np.repeat(bytes_of(table_packet(unit, unit.angle_table)), len(sent_ns), axis=0)
+    data = np.repeat(bytes_of(table_packet(unit, unit.angle_table, mount.clock or "ptp")), len(sent_ns), axis=0)
     yield Payloads(sent_ns, data, mount.telemetry_port, headers, headers.table, first)
 
 

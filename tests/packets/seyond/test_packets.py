@@ -146,6 +146,16 @@ def test_a_block_by_hand():
     assert struct.unpack_from("<4I", payload, 71) == (0, 2000 | 7 << 17, 0, 0)
 
 
+@pytest.mark.parametrize(("clock", "said"), [(None, 7), ("ptp", 7), ("gps", 4), ("free", 0)])
+def test_what_sets_the_clock(clock, said):
+    """InnoTimeSyncType, in the upper four bits of octet 14; in the table's packet, too."""
+    of = mount("robin-w", clock=clock)
+    (tables,) = codec(of.sensor).housekeeping(of, Trajectory.static(np.eye(4)), None, START_NS, range(1))
+    for payloads in (encoded(of, range(2))[3], tables):
+        assert (payloads.data[:, 14] >> 4 == said).all()
+        assert naive.checks(payloads.data[0].tobytes())
+
+
 def test_the_table_of_angles_is_sent_once_a_second():
     of = mount("robin-w")
     none = Trajectory.static(np.eye(4))
