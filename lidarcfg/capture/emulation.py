@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lidarcfg.capture.manifest import rig_file
 from lidarcfg.capture.replay import receiver_address, sender_address
 from lidarcfg.capture.selection import Selection, read_window, window_ns
 from lidarcfg.capture.source_finder import Flow, SourceFinder
@@ -19,6 +20,7 @@ from lidarcfg.geometry import Bytes
 from lidarcfg.packets.codec import Codec
 from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.families import FAMILIES, codec, family
+from lidarcfg.sensors.rig import load_rig
 from lidarcfg.units import SECOND_NS
 
 SEARCHED_NS = 2 * SECOND_NS  # of a capture, for its sensors
@@ -42,9 +44,11 @@ def find_emulated(
 ) -> list[EmulatedSensor]:
     """The sensors in a part of a capture that can answer drivers while it is sent to a host and port.
 
-    Warns of those that cannot. Raises PacketError, ConfigError if none can, or one lacks what it needs for it.
+    They are those of the manifest's rig, if there is one. Warns of those that cannot. Raises PacketError, ConfigError
+    if none can, or one lacks what it needs for it.
     """
-    sources = SourceFinder(path, on_warning)
+    file = rig_file(path, None)
+    sources = SourceFinder(path, on_warning, load_rig(file) if file else None)
     receiver = receiver_address(target)
     found: dict[str, EmulatedSensor] = {}
     without: list[str] = []
