@@ -4,13 +4,13 @@ The answers are the maker's: `packets/emulator.py` has the interface. This modul
 can answer; `emulation_server` has the sockets.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.capture.manifest import rig_file
+from lidarcfg.capture.manifest import load_manifest, manifest_path
 from lidarcfg.capture.replay import receiver_address, sender_address
 from lidarcfg.capture.selection import Selection, read_window, window_ns
 from lidarcfg.capture.source_finder import Flow, SourceFinder
@@ -20,7 +20,7 @@ from lidarcfg.geometry import Bytes
 from lidarcfg.packets.codec import Codec
 from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.families import FAMILIES, codec, family
-from lidarcfg.sensors.rig import load_rig
+from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.units import SECOND_NS
 
 SEARCHED_NS = 2 * SECOND_NS  # of a capture, for its sensors
@@ -40,15 +40,19 @@ class EmulatedSensor:
 
 
 def find_emulated(
-    path: Path, target: str, port: int | None, selection: Selection, on_warning: Callable[[str], None]
+    path: Path,
+    target: str,
+    port: int | None,
+    selection: Selection,
+    on_warning: Callable[[str], None],
+    sidecars: Sequence[Path] = (),
 ) -> list[EmulatedSensor]:
     """The sensors in a part of a capture that can answer drivers while it is sent to a host and port.
 
-    They are those of the manifest's rig, if there is one. Warns of those that cannot. Raises PacketError, ConfigError
-    if none can, or one lacks what it needs for it.
+    They are those of the manifest's rig, if there is one. Warns of those that cannot. `sidecars` are those of `decode`.
+    Raises PacketError, ConfigError if none can, or one lacks what it needs for it.
     """
-    file = rig_file(path, None)
-    sources = SourceFinder(path, on_warning, load_rig(file) if file else None)
+    sources = SourceFinder(path, on_warning, _recorded_rig(path, on_warning), sidecars=sidecars)
     receiver = receiver_address(target)
     found: dict[str, EmulatedSensor] = {}
     without: list[str] = []
@@ -67,9 +71,22 @@ def find_emulated(
         makers = ", ".join(name for name in FAMILIES if family(name).emulator is not Codec.emulator)
         there = ", ".join(without) or "none"
         raise PacketError(f"{path}: no sensor that can be emulated; allowed: those of {makers}; its sensors: {there}")
+    for warning in sources.unread:
+        on_warning(warning)
     if without:
         on_warning(f"{', '.join(without)}: no driver asks such a sensor, so it only sends")
     return list(found.values())
+
+
+def _recorded_rig(path: Path, on_warning: Callable[[str], None]) -> Rig | None:
+    """The rig of a capture's manifest; None without one, and with a warning if it has changed since."""
+    if not manifest_path(path).exists():
+        return None
+    try:
+        return load_rig(load_manifest(path).input_path("rig", "so sensors are told by their packets alone"))
+    except ConfigError as error:
+        on_warning(str(error))
+        return None
 
 
 def _first_packets(path: Path, sources: SourceFinder, selection: Selection) -> Iterator[tuple[Flow, Bytes]]:

@@ -129,6 +129,10 @@ def test_the_manifest_says_who_is_emulated(tmp_path):
     scenery.write_text("name: s\nground: {reflectivity: 12}\n")
     lidarcfg("export", rig, "--scene", scenery, "--duration", "0.01", "-o", path)
     assert find_emulated(path, "127.0.0.1", None, ALL, no_warning)[0].emulator.name == "mid-360s"
+    rig.write_text(rig.read_text() + "# changed\n")
+    said = []
+    assert find_emulated(path, "127.0.0.1", None, ALL, said.append)[0].emulator.name == "mid-360"
+    assert "so sensors are told by their packets alone" in "".join(said)
     manifest_path(path).unlink()
     assert find_emulated(path, "127.0.0.1", None, ALL, no_warning)[0].emulator.name == "mid-360"
 
