@@ -83,7 +83,8 @@ def _recorded_rig(path: Path, on_warning: Callable[[str], None]) -> Rig | None:
     if not manifest_path(path).exists():
         return None
     try:
-        return load_rig(load_manifest(path).input_path("rig", "so sensors are told by their packets alone"))
+        file = load_manifest(path).input_path("rig", "so sensors are told by their packets alone")
+        return load_rig(file) if file else None
     except ConfigError as error:
         on_warning(str(error))
         return None
