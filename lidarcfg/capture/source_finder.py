@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.ethernet import Datagrams
 from lidarcfg.capture.pcap import read_batches
+from lidarcfg.config.models import Section
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Bytes
 from lidarcfg.inputs import read_regular
@@ -184,6 +185,7 @@ class SourceFinder:
 
     def source(self, flow: Flow) -> PacketSource:
         """What a codec can ask about a flow."""
+        _, mount = self.mount(flow)
         return PacketSource(
             where=f"{self._path}: {flow.name}",
             host=flow.host,
@@ -192,6 +194,7 @@ class SourceFinder:
             payloads=partial(_payloads, self._path, flow.host),
             search=partial(self._search, int.from_bytes(socket.inet_aton(flow.host))),
             on_warning=self._on_warning,
+            settings=mount.settings if mount and not self._model else Section({}),
             driver_view=self._driver_view,
         )
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
 from lidarcfg.packets.emx import decode, encode, telemetry
 from lidarcfg.packets.emx.layout import MODES, MSOP, MSOP_ID, ROWS, bytes_of, packets_of
 from lidarcfg.packets.emx.model import EmxFacts, EmxUnit, batches, unit
@@ -44,6 +44,7 @@ class Emx(PatternTiming, Codec):
             raise ConfigError(f"return_mode: {mount.return_mode!r} is not allowed; allowed: {', '.join(MODES)}")
         if mount.data_port == mount.telemetry_port:
             raise ConfigError(f"telemetry_port is {mount.telemetry_port}, the data_port; DIFOP needs a port of its own")
+        check_clock(mount, "ptp")
 
     def pace(self, mount: Mount) -> PacketPace:
         return self.unit.pace(mount.dual)

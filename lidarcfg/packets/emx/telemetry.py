@@ -44,7 +44,7 @@ def state_packets(unit: EmxUnit, mount: Mount, times_ns: Times) -> Packets:
     headers = unit.facts.headers
     facts = unit.facts.difop
     host = [int(part) for part in mount.host.split(".")]
-    receiver = [int(part) for part in headers.destination_ip.split(".")]
+    receiver = [int(part) for part in (mount.destination or headers.destination_ip).split(".")]
     packets["id"] = STATE_ID
     packets["software"] = list(bytes.fromhex(facts.software))
     packets["hardware"] = list(bytes.fromhex(facts.hardware))

@@ -27,7 +27,7 @@ from lidarcfg.packets.ouster.layout import (
     write_packet_headers,
 )
 from lidarcfg.packets.ouster.model import IMU_MEASUREMENTS, LASERS_MAX, Mode, OusterUnit, phase, unit
-from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.rig import Clock, Mount
 from lidarcfg.sensors.sensor import Beams, Sensor
 from lidarcfg.units import SECOND_NS
 
@@ -85,6 +85,11 @@ FRAMED_IMU_PACKET = np.dtype(  # as ouster-sdk's parsing.cpp has it
     ]
 )
 FRAMED_KIND = 2  # of an IMU packet, in its header
+TIMESTAMP_MODES: dict[Clock, str] = {
+    "ptp": "TIME_FROM_PTP_1588",
+    "gps": "TIME_FROM_SYNC_PULSE_IN",
+    "free": "TIME_FROM_INTERNAL_OSC",
+}
 
 
 @dataclass(frozen=True)
@@ -357,8 +362,8 @@ def _config(unit: OusterUnit, mode: Mode, mount: Mount) -> dict[str, Any]:
         "lidar_mode": f"{layout.columns_per_frame}x{round(mode.rpm / 60)}",
         "phase_lock_enable": mount.phase_deg is not None,
         "phase_lock_offset": round((180 - (mount.phase_deg or 180)) % 360 * 1000),
-        "timestamp_mode": "TIME_FROM_PTP_1588",
-        "udp_dest": unit.facts.headers.destination_ip,
+        "timestamp_mode": TIMESTAMP_MODES[mount.clock or "ptp"],
+        "udp_dest": mount.destination or unit.facts.headers.destination_ip,
         "udp_port_imu": mount.telemetry_port,
         "udp_port_lidar": mount.data_port,
         "udp_profile_imu": mode.settings.imu_profile,

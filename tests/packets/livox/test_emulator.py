@@ -64,7 +64,7 @@ def host(port: int) -> bytes:
 
 def emulator(model: str = "mid-360") -> LivoxEmulator:
     of = mount(model)
-    return LivoxEmulator(codec(of.sensor).unit, DataType.CARTESIAN_MM, 56301, NetworkSite(SENSOR, "127.0.0.1", None))
+    return LivoxEmulator(codec(of.sensor).unit, DataType.CARTESIAN_MM, 1, 56301, NetworkSite(SENSOR, "127.0.0.1", None))
 
 
 def test_crc():
