@@ -21,7 +21,7 @@ from lidarcfg.world.motion import Trajectory
 
 START_NS = 1_700_000_000 * 10**9
 HESAI = "pandar-xt32", "pandar-xt16", "xt32m2x", "qt128", "ot128", "jt128", "pandar128"
-ROBOSENSE = "helios-16p", "helios-32", "airy"
+ROBOSENSE = "helios-16p", "helios-32", "airy", "fairy", "fairy-96"
 OUSTER = {  # profile and return mode
     "RNG19_RFL8_SIG16_NIR16": "strongest",
     "RNG19_RFL8_SIG16_NIR16_DUAL": "dual",
@@ -39,7 +39,8 @@ MADE = [
     ("qt128", "two-strongest", ""),
     *((model, mode, "high") for model in ("ot128", "pandar128") for mode in ("strongest", "dual")),
     *(("os0-32", mode, profile) for profile, mode in OUSTER.items()),
-    *((model, "strongest", kind) for model in ("mid-360", "hap") for kind in LIVOX),
+    *(("emx", mode, "") for mode in ("strongest", "last", "first", "first-last")),
+    *((model, "strongest", kind) for model in ("mid-360", "mid-360s", "hap") for kind in LIVOX),
     *((model, mode, "") for model in SEYOND for mode in ("strongest", "two-strongest", "dual")),
 ]
 RECORDED = 12  # as many recordings at most
@@ -98,7 +99,7 @@ def mount(model: str, mode: str, profile: str) -> Mount:
 
 def reach_m(model: str | None) -> float:
     """How far away the points of a sensor's packets may be; of a recording's."""
-    return LIVOX_REACH_M if model in ("mid-360", "hap") else REACH_M
+    return LIVOX_REACH_M if model in ("mid-360", "mid-360s", "hap") else REACH_M
 
 
 def rig(model: str) -> Rig:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lidarcfg.capture.manifest import load_manifest, manifest_path
 from lidarcfg.capture.replay import receiver_address, sender_address
 from lidarcfg.capture.selection import Selection, read_window, window_ns
 from lidarcfg.capture.source_finder import Flow, SourceFinder
@@ -19,6 +20,7 @@ from lidarcfg.geometry import Bytes
 from lidarcfg.packets.codec import Codec
 from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.families import FAMILIES, codec, family
+from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.units import SECOND_NS
 
 SEARCHED_NS = 2 * SECOND_NS  # of a capture, for its sensors
@@ -47,10 +49,10 @@ def find_emulated(
 ) -> list[EmulatedSensor]:
     """The sensors in a part of a capture that can answer drivers while it is sent to a host and port.
 
-    Warns of those that cannot. `sidecars` are those of `decode`. Raises PacketError, ConfigError if none can, or one
-    lacks what it needs for it.
+    They are those of the manifest's rig, if there is one. Warns of those that cannot. `sidecars` are those of `decode`.
+    Raises PacketError, ConfigError if none can, or one lacks what it needs for it.
     """
-    sources = SourceFinder(path, on_warning, sidecars=sidecars)
+    sources = SourceFinder(path, on_warning, _recorded_rig(path, on_warning), sidecars=sidecars)
     receiver = receiver_address(target)
     found: dict[str, EmulatedSensor] = {}
     without: list[str] = []
@@ -74,6 +76,18 @@ def find_emulated(
     if without:
         on_warning(f"{', '.join(without)}: no driver asks such a sensor, so it only sends")
     return list(found.values())
+
+
+def _recorded_rig(path: Path, on_warning: Callable[[str], None]) -> Rig | None:
+    """The rig of a capture's manifest; None without one, and with a warning if it has changed since."""
+    if not manifest_path(path).exists():
+        return None
+    try:
+        file = load_manifest(path).input_path("rig", "so sensors are told by their packets alone")
+        return load_rig(file) if file else None
+    except ConfigError as error:
+        on_warning(str(error))
+        return None
 
 
 def _first_packets(path: Path, sources: SourceFinder, selection: Selection) -> Iterator[tuple[Flow, Bytes]]:

@@ -4,12 +4,12 @@ A flow is what one host sends to one port in datagrams of one size.
 """
 
 import socket
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from glob import escape
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from lidarcfg.config.models import Section
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Bytes
 from lidarcfg.inputs import read_regular
-from lidarcfg.packets.codec import Decoder, KnownSensors, PacketSource
+from lidarcfg.packets.codec import Decoder, HostSearch, KnownSensors, PacketSource, Search
 from lidarcfg.packets.families import FAMILIES, codec, family
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import Sensor, catalogue, load_sensor
@@ -80,6 +80,7 @@ class SourceFinder:
         self._sidecar_files = cache(self._find_sidecar_files)
         self._given_files = [_given_file(Path(one)) for one in sidecars]
         self._asked: set[str] = set()  # suffixes of files that were looked for
+        self._searches: dict[tuple[type[HostSearch], int], CaptureSearch[Any]] = {}
         self.flows: list[Flow] = []  # in the order of their appearance
         self._numbers: dict[int, int] = {}  # of the flows, by host, port and size as one integer
         self._families: dict[Flow, str | None] = {}  # None: it is no LiDAR
@@ -111,10 +112,10 @@ class SourceFinder:
         self.other_sizes.update(batch.size[~is_lidar].tolist())
         return batch[is_lidar], np.array(numbers, np.intp)[inverse][is_lidar]
 
-    def by_flow(self, numbers: NDArray[np.intp]) -> Iterator[tuple[Flow, NDArray[np.bool_]]]:
-        """The flows that datagrams (N,) are of, in the order of their appearance, and (N,) which are of each."""
-        for number in dict.fromkeys(numbers.tolist()):
-            yield self.flows[number], numbers == number
+    def by_flow(self, numbers: NDArray[np.intp]) -> Iterator[tuple[Flow, NDArray[np.intp]]]:
+        """The flows that datagrams (N,) are of, in the order of their appearance, and which rows are of each."""
+        for rows in _groups(numbers):
+            yield self.flows[numbers[rows[0]]], rows
 
     @property
     def strangers(self) -> Iterator[str]:
@@ -191,6 +192,7 @@ class SourceFinder:
             port=flow.port,
             sidecar_files=self._sidecar_files,
             payloads=partial(_payloads, self._path, flow.host),
+            search=partial(self._search, int.from_bytes(socket.inet_aton(flow.host))),
             on_warning=self._on_warning,
             settings=mount.settings if mount and not self._model else Section({}),
             driver_view=self._driver_view,
@@ -206,6 +208,12 @@ class SourceFinder:
         known = self._known(self.family_of(flow))
         trusted = self._model is None
         return codec(self.sensor(flow, packets)).decoder(self.source(flow), packets, known, trusted)
+
+    def _search(self, host: int, kind: type[Search], size: int) -> "Iterator[Search]":
+        """The search of a host, which goes on for all hosts at once."""
+        if (kind, size) not in self._searches:
+            self._searches[kind, size] = CaptureSearch(self._path, kind, size)
+        return self._searches[kind, size].of(host)
 
     def _known(self, family: str) -> KnownSensors:
         return partial(self._catalogue, family)
@@ -245,9 +253,35 @@ def _files_beside(path: Path, suffix: str) -> Mapping[str, bytes]:
         raise PacketError.from_os(error.filename, error) from None
 
 
-def _payloads(path: Path, host: str, port: int | None, size: int) -> Iterator[Bytes]:
-    """All payloads of one size that a host sends to a port, or to any port."""
+def _payloads(path: Path, host: str, port: int, size: int) -> Iterator[Bytes]:
+    """All payloads of one size that a host sends to a port."""
     number = int.from_bytes(socket.inet_aton(host))
     for batch in read_batches(path, lambda warning: None):
-        mine = (batch.host == number) & (batch.size == size)
-        yield batch[mine if port is None else mine & (batch.port == port)].payloads(size)
+        mine = (batch.host == number) & (batch.size == size) & (batch.port == port)
+        yield batch[mine].payloads(size)
+
+
+def _groups(values: NDArray[Any]) -> Iterator[NDArray[np.intp]]:
+    """The rows of equal values (N,), in the order in which values appear."""
+    _, first, counts = np.unique(values, return_index=True, return_counts=True)
+    parts = np.split(np.argsort(values, kind="stable"), np.cumsum(counts)[:-1])
+    for at in np.argsort(first).tolist():
+        yield parts[at]
+
+
+class CaptureSearch(Generic[Search]):
+    """Looks through the packets of each host of a capture, of one size, reading it no further than is asked."""
+
+    def __init__(self, path: Path, kind: type[Search], size: int) -> None:
+        self._batches = read_batches(path, lambda warning: None)
+        self._size = size
+        self._found: defaultdict[int, Search] = defaultdict(kind)
+
+    def of(self, host: int) -> Iterator[Search]:
+        """The search of a host, as far as it is, and again whenever more was read."""
+        yield self._found[host]
+        for batch in self._batches:
+            wanted = batch[batch.size == self._size]
+            for rows in _groups(wanted.host):
+                self._found[int(wanted.host[rows[0]])].add(wanted[rows].payloads(self._size))
+            yield self._found[host]

@@ -349,6 +349,50 @@ def write_airy_returns(
     Limits are the least and greatest range, the unit, and how many units there may be.
     """
 
+class FairyDecoder:
+    """Decodes data packets (P, size) of one sensor."""
+
+    def __init__(self, slots: BlockSlots, lasers: BlockLasers, period_ns: int, group_ns: int, unit_m: float) -> None:
+        """
+        Copies the tables. From packet to packet it is period_ns, from group to group of blocks group_ns.
+        """
+
+    def count(
+        self,
+        packets: Annotated[NDArray[numpy.uint8], dict(shape=(None, 1248))],
+        wanted: Annotated[NDArray[numpy.bool_], dict(shape=(None,))],
+    ) -> int:
+        """How many returns the packets that are wanted (P,) hold at most."""
+
+    def decode(
+        self,
+        packets: Annotated[NDArray[numpy.uint8], dict(shape=(None, 1248))],
+        wanted: Annotated[NDArray[numpy.bool_], dict(shape=(None,))],
+        stamp_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,))],
+        gap_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,))],
+        kind: Annotated[NDArray[numpy.uint8], dict(shape=(None,))],
+        out: Returns,
+    ) -> int:
+        """
+        Fill in an entry for each return of the packets that are wanted (P,); returns how many.
+
+        Stamps, the times to the next ones (0 for the last) and the types of single returns are (P,).
+        """
+
+def write_fairy_returns(
+    range_m: Annotated[NDArray[numpy.float64], dict(shape=(None, None))],
+    reflectivity: Annotated[NDArray[numpy.uint8], dict(shape=(None, None))],
+    number: Annotated[NDArray[numpy.int64], dict(shape=(None,))],
+    offset_m: Annotated[NDArray[numpy.float64], dict(shape=(None,))],
+    limits: Sequence[float] | Annotated[NDArray[numpy.float64], dict(shape=(4))],
+    packets: Annotated[NDArray[numpy.uint8], dict(shape=(None, 1248))],
+) -> None:
+    """
+    Write into packets (P, size): slot s holds return number[s] of range_m and reflectivity (P, N).
+
+    Limits are the least and greatest range, the unit, and how many units there may be.
+    """
+
 class HesaiDecoder:
     """Decodes packets (P, size) of one sensor."""
 

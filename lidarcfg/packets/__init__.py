@@ -1,7 +1,7 @@
 """The makers' packets, a folder each: `layout`, `model`, `encode`, `decode`, `telemetry`.
 
 To read in this order: `codec` is the interface that each maker implements, `families` the registry of makers. Then a
-maker: `velodyne`, `hesai`, `robosense`, `livox`, `ouster` or `seyond`. Several makers share `sensor_unit`, `headers`,
+maker: `velodyne`, `hesai`, `robosense`, `emx`, `livox`, `ouster` or `seyond`. Several share `sensor_unit`, `headers`,
 `blocks`, `loss`, `inertial`, `nmea` and `point_fields`. `emulator` is the interface for answering drivers; some makers
 implement it in an `emulator` of their own.
 

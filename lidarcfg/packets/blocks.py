@@ -13,7 +13,7 @@ D = TypeVar("D", bound=np.generic)
 
 
 def decode(
-    decoder: core.VelodyneDecoder | core.RobosenseDecoder | core.AiryDecoder,
+    decoder: core.VelodyneDecoder | core.RobosenseDecoder | core.AiryDecoder | core.FairyDecoder,
     data: Bytes,
     wanted: Flags,
     stamp_ns: Times,

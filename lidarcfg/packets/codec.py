@@ -7,7 +7,7 @@ is a small one.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,23 @@ class DecodedReturns(NamedTuple):
         return DecodedReturns._make(column[:count] for column in self)
 
 
+class HostSearch(Protocol):
+    """What is looked for in the packets of one host. Codecs have their own, without arguments to make one."""
+
+    def add(self, packets: Bytes) -> None:
+        """The host's next packets (n, size), to any port."""
+
+
+Search = TypeVar("Search", bound=HostSearch)
+
+
+class HostSearcher(Protocol):
+    """Reads a capture once for all hosts."""
+
+    def __call__(self, kind: type[Search], size: int) -> Iterator[Search]:
+        """The search of this host through packets of one size: as far as it is, and again when it has gone further."""
+
+
 @dataclass(frozen=True)
 class PacketSource:
     """One endpoint of a capture: where its packets come from, and what else identifies them."""
@@ -86,7 +103,8 @@ class PacketSource:
     host: str  # its address
     port: int  # the destination's
     sidecar_files: Callable[[str], Mapping[str, bytes]]  # with this suffix: those given, or those beside the capture
-    payloads: Callable[[int | None, int], Iterator[Bytes]]  # of one size, of the host to a port or to any
+    payloads: Callable[[int, int], Iterator[Bytes]]  # of the host to a port, of one size
+    search: HostSearcher  # of the host
     on_warning: Callable[[str], None]
     settings: Section = field(default_factory=lambda: Section({}))  # of the rig's mount there, under the codec's name
     driver_view: bool = False  # angles and times are wanted as the maker's own driver computes them, if it differs

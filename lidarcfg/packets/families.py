@@ -18,6 +18,7 @@ FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne:Velodyne",
     "hesai": "lidarcfg.packets.hesai:Hesai",
     "robosense": "lidarcfg.packets.robosense:Robosense",
+    "emx": "lidarcfg.packets.emx:Emx",
     "livox": "lidarcfg.packets.livox:Livox",
     "ouster": "lidarcfg.packets.ouster:Ouster",
     "seyond": "lidarcfg.packets.seyond:Seyond",

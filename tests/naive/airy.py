@@ -45,7 +45,7 @@ def difop(payload: bytes) -> dict[str, object]:
         "difop_port": struct.unpack_from(">H", payload, 28)[0],
         "install_mode": payload[289],
         "serial": payload[292:298].hex(),
-        "return_mode": {0: "strongest", 1: "first", 2: "last"}[payload[300]],
+        "return_mode": {0: "strongest", 1: "first", 2: "last", 3: "dual"}[payload[300]],
         "time_us": utc_us(payload, 303),
         "rpm_now": struct.unpack_from(">H", payload, 373)[0],
         **angles_deg,

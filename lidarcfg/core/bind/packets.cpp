@@ -122,10 +122,10 @@ void check_lasers(const packets::Lasers& lasers) {
   require(is_table(lasers.focal), "lasers.focal: none, or one for each elevation");
 }
 
-void check_slots(const packets::Slots& slots, Index lasers) {
+void check_slots(const packets::Slots& slots, Index lasers, Index block) {
   const Index width = std::ssize(slots.laser);
   const Index groups = slots.fraction.rows();
-  require(width > 0 && width % packets::slots_per_column == 0, "slots.laser: of whole columns of 32");
+  require(width > 0 && width % block == 0, "slots.laser: of whole blocks");
   require(groups > 0 && groups * width <= packets::slots_per_packet,
           "slots.fraction: of groups that fill at most a packet");
   require(slots.fraction.columns() == width, "slots.fraction: one for each laser");
@@ -157,8 +157,7 @@ void bind_blocks(nb::module_& module, const char* decoder, const char* write) {
       [](const packets::Slots& slots, const packets::Lasers& lasers, std::int64_t period_ns, std::int64_t group_ns,
          double unit_m) {
         check_lasers(lasers);
-        check_slots(slots, std::ssize(lasers.elevation));
-        require(std::ssize(slots.laser) % Maker::slots_per_block == 0, "slots.laser: of whole blocks");
+        check_slots(slots, std::ssize(lasers.elevation), Maker::slots_per_block);
         check_times(period_ns, group_ns);
         return Decoder(slots, lasers, period_ns, group_ns, unit_m);
       },
@@ -350,6 +349,7 @@ void bind_packets(nb::module_& module) {
   bind_velodyne(module);
   bind_blocks<packets::Robosense>(module, "RobosenseDecoder", "write_robosense_returns");
   bind_blocks<packets::Airy>(module, "AiryDecoder", "write_airy_returns");
+  bind_blocks<packets::Fairy>(module, "FairyDecoder", "write_fairy_returns");
   bind_hesai(module);
   bind_packets_ouster(module);
   def(

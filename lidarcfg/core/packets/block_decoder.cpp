@@ -1,5 +1,6 @@
 #include "packets/block_decoder.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "maths.h"
@@ -77,17 +78,29 @@ void read(View<const std::uint8_t> packet, Index first_slot, View<int> distance,
   }
 }
 
+/// The rows of a table, each with zeros up to whole columns.
+template <class T>
+std::vector<T> in_columns(Rows<const T> table, Index columns) {
+  const Index width = columns * slots_per_column;
+  std::vector<T> out(table.rows() * width);
+  for (Index row = 0; row < table.rows(); ++row) {
+    std::copy_n(table[row].begin(), table.columns(), out.begin() + row * width);
+  }
+  return out;
+}
+
 }  // namespace
 
 template <class Maker>
 BlockDecoder<Maker>::BlockDecoder(const Slots& slots, const Lasers& lasers, std::int64_t period_ns,
                                   std::int64_t group_ns, double unit_m)
     : groups_(slots.fraction.rows()),
+      slots_(std::ssize(slots.laser)),
       period_ns_(period_ns),
       group_ns_(group_ns),
       points_(slots, lasers, unit_m),
-      fraction_(slots.fraction.data(), slots.fraction.data() + slots.fraction.size()),
-      offset_ns_(slots.offset_ns.data(), slots.offset_ns.data() + slots.offset_ns.size()) {}
+      fraction_(in_columns(slots.fraction, points_.columns())),
+      offset_ns_(in_columns(slots.offset_ns, points_.columns())) {}
 
 template <class Maker>
 Index BlockDecoder<Maker>::count(Rows<const std::uint8_t> packets, View<const bool> wanted) const {
@@ -96,7 +109,7 @@ Index BlockDecoder<Maker>::count(Rows<const std::uint8_t> packets, View<const bo
     if (!wanted[p]) {
       continue;
     }
-    for (Index slot = 0; slot < groups_ * points_.columns() * slots_per_column; slot += Maker::slots_per_block) {
+    for (Index slot = 0; slot < groups_ * slots_; slot += Maker::slots_per_block) {
       const std::uint8_t* at = return_at<Maker>(packets[p], slot);
       int here = 0;
       for (Index k = 0; k < Maker::slots_per_block; ++k) {
@@ -112,13 +125,13 @@ template <class Maker>
 Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
                                   View<const std::int64_t> stamp_ns, View<const std::int64_t> gap_ns,
                                   View<const std::uint8_t> kind, const Returns& out) const {
-  const Index slots = points_.columns() * slots_per_column;
-  const Index blocks = slots / Maker::slots_per_block;  // in a group
+  const Index width = points_.columns() * slots_per_column;
+  const Index blocks = slots_ / Maker::slots_per_block;  // in a group
   typename Maker::Turning turning(groups_, period_ns_, group_ns_);
   Rotations<Maker> rotations(groups_, points_.columns());
   std::vector<std::uint16_t> azimuth(groups_);
-  std::vector<int> distance(slots);
-  std::vector<int> intensity(slots);
+  std::vector<int> distance(width);
+  std::vector<int> intensity(width);
   Index row = 0;
   for (Index p = 0; p < packets.rows(); ++p) {
     for (Index g = 0; g < groups_; ++g) {
@@ -130,14 +143,14 @@ Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const b
       continue;
     }
     for (Index g = 0; g < groups_; ++g) {
-      read<Maker>(packets[p], g * slots, distance, intensity);
+      read<Maker>(packets[p], g * slots_, View<int>(distance).first(slots_), intensity);
       const double azimuth_rad = azimuth[g] * radians_per_hundredth;
       const auto [cos_azimuth, sin_azimuth] = cos_sin(azimuth_rad);
       const Group group{
           .distance = distance,
           .intensity = intensity,
-          .turned = rotations.of(g, turning.step()[g], &fraction_[g * slots]),
-          .offset_ns = View<const std::int64_t>(offset_ns_).subspan(g * slots, slots),
+          .turned = rotations.of(g, turning.step()[g], &fraction_[g * width]),
+          .offset_ns = View<const std::int64_t>(offset_ns_).subspan(g * width, width),
           .azimuth_rad = azimuth_rad,
           .cos_azimuth = cos_azimuth,
           .sin_azimuth = sin_azimuth,
@@ -153,5 +166,6 @@ Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const b
 template class BlockDecoder<Velodyne>;
 template class BlockDecoder<Robosense>;
 template class BlockDecoder<Airy>;
+template class BlockDecoder<Fairy>;
 
 }  // namespace lidarcfg::packets

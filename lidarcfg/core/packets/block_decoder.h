@@ -30,11 +30,12 @@ class BlockDecoder {
 
  private:
   Index groups_;
+  Index slots_;  // of a group
   std::int64_t period_ns_;
   std::int64_t group_ns_;
   BlockPoints points_;
-  std::vector<double> fraction_;         // (G, W)
-  std::vector<std::int64_t> offset_ns_;  // (G, W)
+  std::vector<double> fraction_;         // (G, whole columns)
+  std::vector<std::int64_t> offset_ns_;  // (G, whole columns)
 };
 
 }  // namespace lidarcfg::packets

@@ -52,7 +52,7 @@ void spread(const Column<std::uint32_t>& values, int shift, std::uint8_t* to) {
 }  // namespace
 
 BlockPoints::BlockPoints(const Slots& slots, const Lasers& lasers, double unit_m)
-    : beams_(slots.laser.size() / width),
+    : beams_((slots.laser.size() + width - 1) / width),
       unit_m_(unit_m),
       paired_(!slots.other.empty()),
       forward_(false),

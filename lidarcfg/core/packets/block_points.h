@@ -45,10 +45,10 @@ struct Turned {
 
 /// A group of blocks of one packet.
 struct Group {
-  View<const int> distance;            // (W,) in units of the packet; 0 is no return
-  View<const int> intensity;           // (W,)
+  View<const int> distance;            // (whole columns,) in units of the packet; 0 is no return
+  View<const int> intensity;           // (whole columns,)
   View<const Turned> turned;           // (columns,)
-  View<const std::int64_t> offset_ns;  // (W,)
+  View<const std::int64_t> offset_ns;  // (whole columns,)
   double azimuth_rad;
   double cos_azimuth;
   double sin_azimuth;

@@ -32,5 +32,7 @@ template void write_returns<Robosense>(Rows<const double>, Rows<const std::uint8
                                        View<const double>, Limits, Rows<std::uint8_t>);
 template void write_returns<Airy>(Rows<const double>, Rows<const std::uint8_t>, View<const std::int64_t>,
                                   View<const double>, Limits, Rows<std::uint8_t>);
+template void write_returns<Fairy>(Rows<const double>, Rows<const std::uint8_t>, View<const std::int64_t>,
+                                   View<const double>, Limits, Rows<std::uint8_t>);
 
 }  // namespace lidarcfg::packets

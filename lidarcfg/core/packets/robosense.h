@@ -1,4 +1,5 @@
-/// RoboSense's MSOP packets: manuals of Helios 16 and Helios 32, V1.1, table 11; Airy's, V1.3, tables 9 to 11.
+/// RoboSense's MSOP packets: manuals of Helios 16 and Helios 32, V1.1, table 11; Airy's, V1.3, tables 9 to 11; Fairy's
+/// (48TX), V1.0, tables 9 to 11.
 #pragma once
 
 #include "packets/azimuth.h"
@@ -23,6 +24,11 @@ struct Robosense {
 struct Airy : Robosense {
   static constexpr Index slots_per_block = 48;
   static constexpr int distance_mask = 0x3FFF;
+};
+
+/// A Fairy's packets: an Airy's, with distances of 15 bits.
+struct Fairy : Airy {
+  static constexpr int distance_mask = 0x7FFF;
 };
 
 }  // namespace lidarcfg::packets

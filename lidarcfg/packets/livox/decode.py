@@ -15,6 +15,7 @@ from lidarcfg.packets.livox.encode import DEGREES, returns
 from lidarcfg.packets.livox.layout import (
     HEADER,
     INTERVAL_NS,
+    NUMBERS,
     UNITS_PER_M,
     VERSION,
     DataType,
@@ -29,7 +30,6 @@ from lidarcfg.packets.livox.model import LivoxUnit
 from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
 from lidarcfg.sensors.firing import STRONGEST
 
-NUMBERS = 2**16  # of packets
 RESTART = 2**15  # a counter that jumps further was reset
 
 

@@ -6,27 +6,54 @@ What a capture has cannot be changed: another kind of points, another pattern or
 import socket
 import struct
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from lidarcfg.packets.emulator import Answer, Emulator, NetworkSite, RequestError, Service, Target
 from lidarcfg.packets.livox import commands
 from lidarcfg.packets.livox.commands import Code, Command, CommandFrame, Key, WorkMode
-from lidarcfg.packets.livox.layout import HEADER, DataType, crcs, headers_of
+from lidarcfg.packets.livox.layout import HEADER, NUMBERS, DataType, crcs, headers_of
 from lidarcfg.packets.livox.model import LivoxUnit
 
 FIND_PORT = 56000
 PORT_NAMES = {FIND_PORT: "Livox's discovery", 56100: "Livox's commands"}
-COMMAND_PORTS = {9: 56100, 10: 56000}  # by type of device: Livox-SDK2 (08f523c), sdk_core/comm/define.h
-STATE_PORTS = {9: (56200, 56201), 10: (56000, 56000)}  # the sensor's, the host's
+COMMAND_PORTS = {9: 56100, 10: 56000, 35: 56100}  # by type of device: Livox-SDK2 (08f523c), sdk_core/comm/define.h
+STATE_PORTS = {9: (56200, 56201), 10: (56000, 56000), 35: (56200, 56201)}  # the sensor's, the host's
 APPLICATION = b"\x01"  # the type of firmware that is not the loader
-FIXED = {
+FIXED = {  # what a capture cannot change
     Key.DATA_TYPE: "kind of points",
     Key.PATTERN: "scan pattern",
     Key.PAIRS: "number of returns",
+    Key.LIDAR_IP: "address",
+    Key.BLIND_SPOT: "least range",
+    Key.FOV_0: "field of view",
+    Key.FOV_1: "field of view",
     Key.FOV_ON: "field of view",
+    Key.DETECTION: "mode of detection",
+    Key.IO_LINES: "use of its lines",
+    Key.GLASS_HEAT: "heating",
+    Key.SAFETY: "way to start",
+    Key.FORCED_HEAT: "heating",
 }
-HOSTS = {Key.STATE_HOST: "its state", Key.POINT_HOST: "points", Key.IMU_HOST: "inertial measurements"}
+SWITCHES = {  # what a byte stops, and lets go on
+    Key.POINTS_OFF: ("points to be sent", "no points to be sent"),
+    Key.IMU_ON: ("no inertial measurements to be sent", "inertial measurements to be sent"),
+}
+HOSTS = {
+    Key.STATE_HOST: "its state",
+    Key.POINT_HOST: "points",
+    Key.IMU_HOST: "inertial measurements",
+    Key.LOG_HOST: "its log",
+}
+
+
+class Pass(NamedTuple):
+    """A pass of the capture, as far as datagrams of a kind were sent."""
+
+    later_ns: int  # than the first pass
+    ahead: int  # of the captured numbers
+    last: int  # number that was sent
 
 
 class LivoxEmulator(Emulator):
@@ -50,6 +77,7 @@ class LivoxEmulator(Emulator):
         points_to = site.target(port)[1]
         imu_to = site.target(imu)[1]
         mac = bytes.fromhex(headers.mac_prefix.replace(":", "")) + address[1:]
+        self._passes: dict[int, Pass] = {}  # the present ones, by kind of datagram
         self._values: dict[int, bytes] = {
             Key.DATA_TYPE: bytes([kind]),
             Key.PATTERN: b"\0",
@@ -118,15 +146,26 @@ class LivoxEmulator(Emulator):
         return _target(values[Key.POINT_HOST if points else Key.IMU_HOST])
 
     def payload(self, captured: bytes, later_ns: int) -> bytes:
-        """The datagram, stamped later."""
-        if not later_ns or len(captured) < HEADER.itemsize:
+        """The datagram, stamped later; its number follows the last one's of the pass before."""
+        if len(captured) < HEADER.itemsize:
             return captured
         data = np.frombuffer(captured, np.uint8)[None].copy()
         header = headers_of(data)
+        header["count"] = self._number(int(header["type"][0]), int(header["count"][0]), later_ns)
+        if not later_ns:
+            return captured
         header["time_ns"] += np.uint64(later_ns)
         if header["crc"][0]:
             header["crc"] = crcs(data)
         return data.tobytes()
+
+    def _number(self, kind: int, captured: int, later_ns: int) -> int:
+        """The number of a datagram of a kind in the pass that is so much later."""
+        before = self._passes.get(kind, Pass(later_ns, 0, 0))
+        ahead = before.ahead if later_ns == before.later_ns else before.last + 1 - captured
+        number = (captured + ahead) % NUMBERS
+        self._passes[kind] = Pass(later_ns, ahead, number)
+        return number
 
     def answer(self, request: bytes, client: str) -> Answer:
         """The answer to a command. Raises RequestError for what is none."""
@@ -195,21 +234,25 @@ class LivoxEmulator(Emulator):
         name = f"0x{key:04X}"
         if key >= commands.READ_ONLY:
             return Code.READ_ONLY, f"sets {name}, which can only be read"
-        if key in self._values and len(value) != len(self._values[key]):
+        if key not in self._values:
+            return Code.UNKNOWN_KEY, f"sets {name}, which is not known"
+        if len(value) != len(self._values[key]):
             what = f"sets {name} to {len(value)} bytes; allowed: {len(self._values[key])}"
             return Code.WRONG_LENGTH, what
         if key in FIXED and value != self._values[key]:
             return Code.NOT_NOW, f"asks for another {FIXED[Key(key)]}: {value.hex()}; the capture has one only"
-        if key == Key.LIDAR_IP and value != self._values[key]:
-            return Code.NOT_NOW, f"wants the address {socket.inet_ntoa(value[:4])}, which is not changed"
         if key == Key.WORK_MODE and value[0] not in set(WorkMode):
             return Code.OUT_OF_RANGE, f"asks for the work mode {value[0]}; allowed: 1, 2, 9"
         if key == Key.WORK_MODE:
             return Code.DONE, f"asks for the work mode {WorkMode(value[0]).name.lower()}"
+        if key in SWITCHES and value[0] > 1:
+            return Code.OUT_OF_RANGE, f"sets {name} to {value[0]}; allowed: 0, 1"
+        if key in SWITCHES:
+            return Code.DONE, f"wants {SWITCHES[Key(key)][value[0]]}"
         if key in HOSTS:
             address, port = _target(value)
             return Code.DONE, f"wants {HOSTS[Key(key)]} sent to {address}:{port}"
-        return Code.DONE, f"sets {name} to {value.hex()}, which changes nothing here" if key not in self._values else ""
+        return Code.DONE, ""  # how it is mounted, which it only remembers
 
 
 def _target(value: bytes) -> Target:

@@ -7,6 +7,7 @@ from lidarcfg.geometry import Array, Bytes, Flags
 from lidarcfg.packets.livox.layout import (
     HUNDREDTHS,
     INTERVAL_NS,
+    NUMBERS,
     TIME_TYPES,
     UNITS_PER_M,
     VERSION,
@@ -14,7 +15,7 @@ from lidarcfg.packets.livox.layout import (
     Packets,
     packet_of,
 )
-from lidarcfg.packets.livox.model import LivoxUnit
+from lidarcfg.packets.livox.model import LivoxUnit, PointPacketFacts
 from lidarcfg.sensors.firing import FiringBatch, Firings
 from lidarcfg.sensors.rig import Clock
 
@@ -33,20 +34,28 @@ def encode(
     header["length"] = packets.itemsize
     header["interval"] = (time_ns[:, -1] - time_ns[:, 0] + INTERVAL_NS // 2) // INTERVAL_NS
     header["points"] = facts.points
-    header["count"] = batch.number % 2**16
+    header["count"] = batch.number % NUMBERS
     header["type"] = kind
     header["time_type"] = TIME_TYPES[clock]
     header["time_ns"] = time_ns[:, 0]
     least_m, most_m = unit.range.reported_m
     there = (range_m >= least_m) & (range_m <= most_m)
-    write_points(packets, kind, batch.firings, np.where(there, range_m, 0.0), reflectivity, facts.tag)
+    write_points(packets, kind, batch.firings, np.where(there, range_m, 0.0), reflectivity, tags(facts, range_m))
     return packets
 
 
+def tags(facts: PointPacketFacts, range_m: Array) -> Bytes:
+    """(N,) what the sensor says of returns at these ranges."""
+    found = np.full(range_m.shape, facts.tag, np.uint8)
+    if facts.merged:
+        found[range_m < facts.merged.below_m] = facts.merged.tag
+    return found
+
+
 def write_points(
-    packets: Packets, kind: DataType, fired: Firings, range_m: Array, reflectivity: Bytes, tag: int
+    packets: Packets, kind: DataType, fired: Firings, range_m: Array, reflectivity: Bytes, tag: Bytes
 ) -> None:
-    """Write the points of firings with ranges (N,), which are 0 where there is no return.
+    """Write the points of firings with ranges (N,), which are 0 where there is no return, and tags (N,).
 
     What the kind of points cannot hold is no return either. The sensor's y axis is to the left, azimuths are clockwise.
     """
@@ -68,7 +77,7 @@ def write_points(
         points["y"] = np.rint(-flat * maths.sin(fired.encoder_rad)).reshape(shape)
         points["z"] = np.rint(length * maths.sin(fired.elevation_rad)).reshape(shape)
     points["reflectivity"] = (reflectivity * there).reshape(shape)
-    points["tag"] = (np.uint8(tag) * there).reshape(shape) if np.any(tag) else 0
+    points["tag"] = (tag * there).reshape(shape) if tag.any() else 0
 
 
 def sent(packets: Packets, kind: DataType) -> Flags:

@@ -37,6 +37,7 @@ HEADER = np.dtype(
     ]
 )
 CHECKED = HEADER.itemsize - 8  # where the bytes begin that the CRC covers: the time and all behind it
+NUMBERS = 2**16  # of packets, before they begin again
 INTERVAL_NS = 100  # the unit of the header's interval
 LOOK = [("reflectivity", "u1"), ("tag", "u1")]
 POINT = {

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from lidarcfg.config.models import Model
+from lidarcfg.config.models import Model, Positive
 from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.livox.layout import DataType
 from lidarcfg.packets.sensor_unit import SensorUnit
@@ -23,12 +23,20 @@ DATA_TYPES = {
 }
 
 
+class Merged(Model):
+    """The tag of returns so near that they merge with the sensor's own."""
+
+    tag: Byte
+    below_m: Positive
+
+
 class PointPacketFacts(Model):
     """The facts of packets with points."""
 
     source: str = ""
     points: Annotated[int, Field(ge=2, le=1000)]
     tag: Byte  # of a return that nothing is said against
+    merged: Merged | None = None  # none: all have the same tag
 
 
 class Inertial(Model):

@@ -7,7 +7,7 @@ import numpy as np
 
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.inertial import measured, samples
-from lidarcfg.packets.livox.layout import INERTIAL, TIME_TYPES, VERSION, DataType, Packets, bytes_of, crcs
+from lidarcfg.packets.livox.layout import INERTIAL, NUMBERS, TIME_TYPES, VERSION, DataType, Packets, bytes_of, crcs
 from lidarcfg.packets.livox.model import Inertial, LivoxUnit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
@@ -27,7 +27,7 @@ def imu_payloads(
         header["version"] = VERSION
         header["length"] = INERTIAL.itemsize
         header["points"] = 1
-        header["count"] = number % 2**16
+        header["count"] = number % NUMBERS
         header["type"] = DataType.INERTIAL
         header["time_type"] = TIME_TYPES[mount.clock or "ptp"]
         header["time_ns"] = time_ns

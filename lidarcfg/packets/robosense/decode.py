@@ -48,7 +48,7 @@ class DecodeTables:
         return self.return_mode == "dual"
 
     @cached_property
-    def core(self) -> core.RobosenseDecoder | core.AiryDecoder:
+    def core(self) -> core.RobosenseDecoder | core.AiryDecoder | core.FairyDecoder:
         """The core's decoder."""
         unit = self.unit
         sensor = unit.sensor
@@ -198,11 +198,11 @@ def identify(
     known = [unit for unit in known if unit.series is series]
     model = int(packets["model"][0])
     if model:
-        named = [unit for unit in known if model in (unit.facts.packet.model, *unit.facts.packet.other_models)]
+        named = [unit for unit in known if model in _models(unit)]
         if not named:
             has = ", ".join(f"0x{unit.facts.packet.model:02X} {unit.name}" for unit in known)
             raise PacketError(f"{where} sends the unknown model 0x{model:02X}; known: {has}; or give --model")
-        return named[0]
+        return next((unit for unit in named if len(named) > 1 and _shares(unit, packets)), named[0])
     fits = [unit for unit in known if difop and unit.count == difop.lasers]
     fits = fits or [unit for unit in known if len(known) == 1 or _fits(unit, packets)]
     if len(fits) == 1:
@@ -215,7 +215,7 @@ def check_model(where: str, unit: RobosenseUnit, packets: Packets, difop: Difop 
     """Raises PacketError if these packets (P,) or the DIFOP packet say that they are of another model."""
     facts = unit.facts.packet
     model = int(packets["model"][0])
-    if model not in (0, facts.model, *facts.other_models):
+    if model not in (0, *_models(unit)):
         raise PacketError(
             f"{where} sends model 0x{model:02X}, not {unit.name}'s 0x{facts.model:02X}; "
             "--model says what it is all the same"
@@ -237,6 +237,21 @@ def is_dual(unit: RobosenseUnit, packets: Packets) -> bool:
         return paired
     gap_ns = _gap_ns(packets)
     return bool(gap_ns) and gap_ns < 1.5 * unit.firing_schedule(dual=True).period_ns
+
+
+def _models(unit: RobosenseUnit) -> tuple[int, ...]:
+    """What packets may say of its model."""
+    facts = unit.facts.packet
+    return facts.model, *facts.also, *facts.other_models
+
+
+def _shares(unit: RobosenseUnit, packets: Packets) -> bool:
+    """Whether as many blocks of the packets share an azimuth as hold the sensor's returns."""
+    azimuth = packets["blocks"]["azimuth"].astype(np.int64)
+    together = unit.blocks * (1 + is_dual(unit, packets))
+    groups = azimuth.reshape(len(azimuth), -1, together)
+    alike = bool((groups == groups[:, :, :1]).all(axis=2).mean() > 0.5)
+    return alike and bool((np.diff(groups[:, :, 0], axis=1) != 0).mean() > 0.5)
 
 
 def _fits(unit: RobosenseUnit, packets: Packets) -> bool:

@@ -2,12 +2,13 @@
 
 Layout: manuals of Helios 16 and Helios 32, V1.1, tables 11 to 14 and appendix C; what MSOP reserves, by a recording.
 Airy's: its manual, V1.3 (RoboSense-Robotics/product-manual, docs/en/Airy.md at b399c0f), tables 9 to 12 and appendix C;
-what that reserves, as rs_driver 1.5.19 reads it, decoder_RSAIRY.hpp.
+what that reserves, as rs_driver 1.5.19 reads it, decoder_RSAIRY.hpp. Fairy's: that of its manual (48TX), V1.0
+(docs/Fairy_CN_48TX.md at 49086c4), tables 9 to 13, and decoder_RSFAIRY.hpp.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,21 @@ def _block(slots: int) -> np.dtype[np.void]:
     return np.dtype([("id", ">u2"), ("azimuth", ">u2"), ("returns", RETURN, (slots,))])
 
 
+def _imu(value: str) -> np.dtype[np.void]:
+    """An inertial measurement; the order of bytes is rs_driver's."""
+    return np.dtype(
+        [
+            *[("id", "S4"), *TIME, ("acceleration", value, (3,)), ("rate", value, (3,)), ("temperature", ">i4")],
+            *[("frequency", "u1"), ("acceleration_range", "u1"), ("rate_range", "u1"), ("count", ">u4")],
+            ("tail", ">u2"),
+        ]
+    )
+
+
+AIRY_IMU = _imu(">i4")  # its guide, table 13: parts of the range
+FAIRY_IMU = _imu(">f4")  # its manual, table 13: m/s² and rad/s
+
+
 @dataclass(frozen=True, eq=False)
 class Series:
     """A series of LiDARs with packets of one layout."""
@@ -70,8 +86,9 @@ class Series:
     clock_locked: int  # the same of one that is synchronised by PTP
     distance_max: int  # units; 0 is no return
     counts: int  # packets until the counter begins again
-    decoder: Callable[..., core.RobosenseDecoder | core.AiryDecoder]
+    decoder: Callable[..., core.RobosenseDecoder | core.AiryDecoder | core.FairyDecoder]
     write_returns: Callable[..., None]
+    imu: np.dtype[np.void] = AIRY_IMU  # of those with an inertial sensor
 
     @property
     def says_dual(self) -> bool:
@@ -132,15 +149,19 @@ AIRY = Series(
     decoder=core.AiryDecoder,
     write_returns=core.write_airy_returns,
 )
-SERIES = {series.lidar_type: series for series in (HELIOS, AIRY)}
+FAIRY = replace(
+    AIRY,
+    name="Fairy",
+    lidar_type=0x0A,
+    lasers=(48, 96),  # with 48 a block is a column of its own
+    distance_max=0x7FFF,
+    decoder=core.FairyDecoder,
+    write_returns=core.write_fairy_returns,
+    imu=FAIRY_IMU,
+)
+SERIES = {series.lidar_type: series for series in (HELIOS, AIRY, FAIRY)}
 IMU_ID = bytes.fromhex("aa555a05")
 IMU_TAIL = 0xF00F
-IMU = np.dtype(  # an Airy's inertial measurement: its guide, table 13; the order of bytes as in rs_driver
-    [
-        *[("id", "S4"), *TIME, ("acceleration", ">i4", (3,)), ("rate", ">i4", (3,)), ("temperature", ">i4")],
-        *[("frequency", "u1"), ("acceleration_range", "u1"), ("rate_range", "u1"), ("count", ">u4"), ("tail", ">u2")],
-    ]
-)
 IMU_HZ = (25, 50, 100, 200, 1000)  # by what the packet says
 IMU_FULL = 32768  # a value at the end of the range
 Packets = NDArray[np.void]

@@ -30,6 +30,7 @@ class MsopFacts(Model):
     source: str = ""
     type: Byte = HELIOS.lidar_type  # what it says of the series
     model: Byte  # what it says of the model
+    also: tuple[Byte, ...] = ()  # what else it may say of this model, as it may of another
     other_models: tuple[Byte, ...] = ()  # with other angles, which their DIFOP packets say
 
 
@@ -49,8 +50,8 @@ class Installed(Model):
     offset_ns: tuple[Nanoseconds, ...]  # as that of `SequenceFiring`
 
 
-class AiryImu(Model):
-    """The facts of an Airy's inertial measurements."""
+class RobosenseImu(Model):
+    """The facts of inertial measurements."""
 
     source: str = ""
     port: Port  # that they are sent to
@@ -74,18 +75,18 @@ class RobosenseFacts(Model):
     driver: Driver | None = None
     packet: MsopFacts
     difop: DifopFacts
-    imu: AiryImu | None = None
+    imu: RobosenseImu | None = None
     headers: RobosenseHeaders
 
 
 class RobosenseSettings(Model):
     """The key `robosense` of a mount in a rig's file."""
 
-    imu: bool = True  # whether an Airy sends inertial measurements
+    imu: bool = True  # whether a sensor that has them sends inertial measurements
 
 
 class RobosenseUnit(SensorUnit[RobosenseFacts]):
-    """A sensor of 16, 32 or 96 lasers with the facts of its packets."""
+    """A sensor of 16, 32, 48 or 96 lasers with the facts of its packets."""
 
     @property
     def series(self) -> Series:
@@ -100,7 +101,7 @@ class RobosenseUnit(SensorUnit[RobosenseFacts]):
     def firing_schedule(self, dual: bool) -> FiringSchedule:
         """Its firing pattern.
 
-        A block holds all returns of 32 lasers once, of 16 lasers twice or dual; two hold those of an Airy's 96.
+        A block holds all returns of 32 or 48 lasers once, of 16 lasers twice or dual; two hold those of 96.
         """
         firing = self.facts.firing
         series = self.series
@@ -145,8 +146,8 @@ def unit(sensor: Sensor) -> RobosenseUnit:
 def slot_numbers(unit: RobosenseUnit, dual: bool) -> Times:
     """(N,) the slot, numbered block by block, of each of a packet's (S, L) returns, or (S, L, 2) dual returns.
 
-    With dual returns, both of 16 lasers stand in one block, one half each; of 32 lasers in two successive blocks; of 96
-    in two successive pairs of blocks.
+    With dual returns, both of 16 lasers stand in one block, one half each; of 32 or 48 lasers in two successive blocks;
+    of 96 in two successive pairs of blocks.
     """
     sequences = unit.firing_schedule(dual).sequences
     each = unit.count

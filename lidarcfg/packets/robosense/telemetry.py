@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Bytes
 from lidarcfg.packets.codec import PacketSource, Payloads
-from lidarcfg.packets.inertial import measured, samples
+from lidarcfg.packets.inertial import GRAVITY_M_S2, measured, samples
 from lidarcfg.packets.nmea import fixes
 from lidarcfg.packets.robosense.layout import (
-    AIRY,
     ANGLE,
     DIFOP_ID,
     DIFOP_TAIL,
+    FAIRY,
     GPS,
     GPS_LOCKED,
-    IMU,
+    HELIOS,
     IMU_FULL,
     IMU_HZ,
     IMU_ID,
@@ -31,7 +31,7 @@ from lidarcfg.packets.robosense.layout import (
     bytes_of,
     write_time,
 )
-from lidarcfg.packets.robosense.model import AiryImu, RobosenseUnit
+from lidarcfg.packets.robosense.model import RobosenseImu, RobosenseUnit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
 
@@ -105,7 +105,7 @@ def difop_packets(unit: RobosenseUnit, mount: Mount, times_ns: np.ndarray) -> Pa
     packets["sync"] = GPS if mount.clock == "gps" else PTP
     packets["sync_state"] = {"gps": GPS_LOCKED, "free": UNLOCKED}.get(mount.clock or "ptp", series.clock_locked)
     write_time(packets, times_ns)
-    if series is AIRY:
+    if series is not HELIOS:
         packets["install_mode"] = unit.facts.difop.install_mode
         packets["real_rpm"] = packets["rpm"]
         packets["imu_rotation"] = 0, 0, 0, 1
@@ -117,27 +117,34 @@ def difop_packets(unit: RobosenseUnit, mount: Mount, times_ns: np.ndarray) -> Pa
     packets["vertical"][:, : unit.count] = angles(unit, "elevation_deg", beams.elevation_deg)
     offset_deg = beams.azimuth_offset_deg or (0.0,) * unit.count
     packets["horizontal"][:, : unit.count] = angles(unit, "azimuth_offset_deg", offset_deg)
+    if series is FAIRY:
+        packets["vertical"][:, unit.count :] = 0  # rs_driver wants the angles of 96 lasers
+        packets["horizontal"][:, unit.count :] = 0
     return packets
 
 
 def imu_payloads(
-    unit: RobosenseUnit, imu: AiryImu, mount: Mount, trajectory: "Trajectory", start_ns: int, due_ns: range
+    unit: RobosenseUnit, imu: RobosenseImu, mount: Mount, trajectory: "Trajectory", start_ns: int, due_ns: range
 ) -> Iterator[Payloads]:
     """A packet a measurement, counted from 1: accelerations, gravity included, and rates in the sensor's frame."""
     headers = unit.facts.headers
     for number, time_ns, sent_ns in samples(start_ns, due_ns, SECOND_NS // imu.rate_hz):
-        packets: Packets = np.zeros(len(number), IMU)
+        packets: Packets = np.zeros(len(number), unit.series.imu)
         packets["id"] = IMU_ID
         packets["tail"] = IMU_TAIL
         write_time(packets, time_ns)
         acceleration_g, rate_deg_s = measured(mount, trajectory, np.zeros(3), time_ns)
-        packets["acceleration"] = _counts(acceleration_g, imu.acceleration_g)
-        packets["rate"] = _counts(rate_deg_s, imu.rate_deg_s)
+        if unit.series is FAIRY:
+            packets["acceleration"] = acceleration_g * GRAVITY_M_S2
+            packets["rate"] = np.radians(rate_deg_s)
+        else:
+            packets["acceleration"] = _counts(acceleration_g, imu.acceleration_g)
+            packets["rate"] = _counts(rate_deg_s, imu.rate_deg_s)
         packets["frequency"] = IMU_HZ.index(imu.rate_hz)
         packets["acceleration_range"] = imu.acceleration_g.bit_length() - 2  # 0: 2 g, and so on twice as much
         packets["rate_range"] = (imu.rate_deg_s // 125).bit_length() - 2
         packets["count"] = number + 1
-        data = packets.view(np.uint8).reshape(len(packets), IMU.itemsize)
+        data = packets.view(np.uint8).reshape(len(packets), packets.itemsize)
         yield Payloads(sent_ns, data, imu.port, headers, headers.difop, int(number[0]))
 
 
@@ -157,23 +164,38 @@ def angles(unit: RobosenseUnit, key: str, degrees: tuple[float, ...]) -> np.ndar
     return out
 
 
+class DifopSearch:
+    """The DIFOP packets among the first packets of a host."""
+
+    def __init__(self) -> None:
+        self.seen = 0  # packets
+        self.by_port: dict[int, Bytes] = {}  # (1, 1248) the first of each LiDAR, by its MSOP port
+        self._serials: set[bytes] = set()
+
+    def add(self, packets: Bytes) -> None:
+        rows = packets[: SEARCHED - self.seen]
+        self.seen += len(rows)
+        found = np.ascontiguousarray(rows[(rows[:, :8] == list(DIFOP_ID)).all(axis=1)])
+        said: Packets = found.view(HELIOS.difop)[:, 0]  # the beginning is that of all series
+        for n, port in enumerate(said["msop_port"][:, 0].tolist()):
+            self.by_port.setdefault(port, found[n : n + 1])
+        self._serials.update(row.tobytes() for row in said["serial"])
+
+    @property
+    def alone(self) -> Bytes | None:
+        """The first DIFOP packet of a host whose packets are all of one LiDAR; None of others."""
+        return next(iter(self.by_port.values())) if len(self._serials) == 1 else None
+
+
 def find_difop(source: PacketSource, series: Series) -> Difop | None:
     """The DIFOP packet of a source near the capture's start; of several LiDARs behind a host, by the port."""
-    others: list[Packets] = []
-    seen = 0
-    for data in source.payloads(None, SIZE):
-        rows = data[: SEARCHED - seen]
-        seen += len(rows)
-        found = np.ascontiguousarray(rows[(rows[:, :8] == list(DIFOP_ID)).all(axis=1)]).view(series.difop)[:, 0]
-        mine = found[found["msop_port"][:, 0] == source.port]
-        if len(mine):
-            return _read(mine[:1], series)
-        others.append(found)
-        if seen == SEARCHED:
+    packet = None
+    for found in source.search(DifopSearch, SIZE):
+        packet = found.by_port.get(source.port)
+        if packet is not None or found.seen == SEARCHED:
             break
-    together = np.concatenate(others) if others else np.empty(0, series.difop)
-    alone = len(np.unique(together["serial"], axis=0)) == 1
-    return _read(together[:1], series) if alone else None
+    packet = found.alone if packet is None else packet
+    return None if packet is None else _read(packet.view(series.difop)[:, 0], series)
 
 
 def _read(packet: Packets, series: Series) -> Difop:

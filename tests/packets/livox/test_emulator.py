@@ -12,6 +12,7 @@ import pytest
 from lidarcfg.capture.emulation import find_emulated
 from lidarcfg.capture.emulation_server import EmulationServer
 from lidarcfg.capture.export import in_time_order, simulated_packets
+from lidarcfg.capture.manifest import manifest_path
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.replay import read_selected, replay
 from lidarcfg.capture.selection import ALL
@@ -20,7 +21,11 @@ from lidarcfg.packets.families import codec
 from lidarcfg.packets.livox.emulator import LivoxEmulator
 from lidarcfg.packets.livox.layout import DataType
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.units import START_NS
+from lidarcfg.world.geodesy import GeoOrigin
+from lidarcfg.world.motion import Trajectory
 from tests.capture_fixtures import no_warning, scene
+from tests.command_line import lidarcfg
 from tests.naive import livox as naive
 from tests.packets.livox.fixtures import encoded, mount
 
@@ -57,8 +62,8 @@ def host(port: int) -> bytes:
     return socket.inet_aton("127.0.0.1") + struct.pack("<HH", port, 0)
 
 
-def emulator() -> LivoxEmulator:
-    of = mount()
+def emulator(model: str = "mid-360") -> LivoxEmulator:
+    of = mount(model)
     return LivoxEmulator(codec(of.sensor).unit, DataType.CARTESIAN_MM, 1, 56301, NetworkSite(SENSOR, "127.0.0.1", None))
 
 
@@ -97,8 +102,39 @@ def test_it_answers_and_obeys():
     assert set_to(value(0x8000, bytes(16))) == struct.pack("<BH", 0x22, 0x8000)
     assert set_to(value(0x1A, b"\7")) == struct.pack("<BH", 3, 0x1A)
     assert set_to(value(6, b"\0")) == struct.pack("<BH", 0x23, 6)
+    assert set_to(value(0x10, b"\0\0\0\0")) == struct.pack("<BH", 0x20, 0x10)  # a vehicle's speed: unknown here
+    assert set_to(value(0x1C, b"\2")) == struct.pack("<BH", 3, 0x1C)
+    assert set_to(value(0x12, bytes(range(24)))) == done  # how it is mounted: points are not turned by it
+    for key, length in ((0x13, 4), (0x15, 20), (0x16, 20), (0x17, 1), (0x18, 1), (0x19, 4), (0x1B, 1), (0x1E, 1)):
+        assert set_to(value(key, bytes(length))) == done  # as it is
+        assert set_to(value(key, b"\1" * length)) == struct.pack("<BH", 2, key)
     assert "reboot" in one.answer(command(4, 0x200, b"\0\0"), "a").message
     assert one.answer(command(4, 0, kind=1), "a").data == b""  # another sensor's answer
+
+
+def test_a_mid_360s_says_so():
+    """Livox-SDK2: kLivoxLidarTypeMid360s is 35; its ports are a Mid-360's, comm/define.h."""
+    one = emulator("mid-360s")
+    assert [(s.port, s.broadcast) for s in one.services] == [(56000, True), (56100, False), (56200, False)]
+    found = answered(one.answer(command(1, 0), "127.0.0.1").data, 1, 0)
+    assert struct.unpack("<BB16s4sH", found) == (0, 35, b"LIDARCFG000121\0\0", socket.inet_aton(SENSOR), 56100)
+
+
+def test_the_manifest_says_who_is_emulated(tmp_path):
+    """Packets of a Mid-360 and a Mid-360S are alike: without a manifest it is taken for a Mid-360."""
+    path = tmp_path / "a.pcap"
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("name: r\nsensors: [{name: a, model: mid-360s, position_m: [0, 0, 2], host: 192.168.1.121}]\n")
+    scenery = tmp_path / "scene.yaml"
+    scenery.write_text("name: s\nground: {reflectivity: 12}\n")
+    lidarcfg("export", rig, "--scene", scenery, "--duration", "0.01", "-o", path)
+    assert find_emulated(path, "127.0.0.1", None, ALL, no_warning)[0].emulator.name == "mid-360s"
+    rig.write_text(rig.read_text() + "# changed\n")
+    said = []
+    assert find_emulated(path, "127.0.0.1", None, ALL, said.append)[0].emulator.name == "mid-360"
+    assert "so sensors are told by their packets alone" in "".join(said)
+    manifest_path(path).unlink()
+    assert find_emulated(path, "127.0.0.1", None, ALL, no_warning)[0].emulator.name == "mid-360"
 
 
 def test_nothing_else_is_answered():
@@ -119,11 +155,23 @@ def test_nothing_else_is_answered():
 
 
 def test_a_repeated_capture_goes_on():
+    """Stamps are later; numbers of points and of inertial measurements go on apart, over a loss and 65535."""
     one = emulator()
-    payload = encoded(mount(), 1)[3].data[0].tobytes()
-    later = one.payload(payload, 10**9)
-    assert naive.header(later)["stamp_ns"] == naive.header(payload)["stamp_ns"] + 10**9
-    assert (later[:28], later[36:]) == (payload[:28], payload[36:])
+    of = mount()
+    points = encoded(of, 4)[3].data
+    points[:, 7:9] = np.array([65533, 65534, 0, 1], "<u2")[:, None].view(np.uint8)  # 65535 was lost
+    (imu,) = codec(of.sensor).housekeeping(of, Trajectory.static(np.eye(4)), GeoOrigin(), START_NS, range(15_000_000))
+    counts = []
+    for later_ns in (0, 10**9, 2 * 10**9):
+        for captured in (row.tobytes() for rows in (points, imu.data) for row in rows):
+            sent = one.payload(captured, later_ns)
+            head = naive.header(sent)
+            assert head["stamp_ns"] == naive.header(captured)["stamp_ns"] + later_ns
+            assert (sent[:7], sent[9:24], sent[36:]) == (captured[:7], captured[9:24], captured[36:])
+            assert naive.checks(sent) == bool(head["type"] == 0)  # inertial measurements have a CRC
+            counts.append((head["type"], head["count"]))
+    assert [count for kind, count in counts if kind == 1] == [65533, 65534, 0, 1, 2, 3, 5, 6, 7, 8, 10, 11]
+    assert [count for kind, count in counts if kind == 0] == list(range(9))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has all of 127.0.0.0/8")

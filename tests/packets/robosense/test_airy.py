@@ -246,7 +246,10 @@ def test_what_cannot_be_read_says_why(tmp_path, sensor):
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        ({"packet": {"type": 7, "model": 2}}, "robosense.packet.type: 7 is not known; allowed: 6 Helios, 49 Airy"),
+        (
+            {"packet": {"type": 7, "model": 2}},
+            "robosense.packet.type: 7 is not known; allowed: 6 Helios, 49 Airy, 10 Fairy",
+        ),
         ({"packet": {"type": 6, "model": 2}}, "packets hold 16 or 32 lasers; airy has 96"),
         (
             {"installed": ({"mode": 1, "offset_ns": (0,)},)},

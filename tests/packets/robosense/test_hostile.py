@@ -11,12 +11,12 @@ from lidarcfg.units import START_NS
 from tests.capture_fixtures import write_datagrams
 from tests.packets.robosense.fixtures import mount
 
-MOST_M = 65535 * 0.0025 + 0.035
+MOST_M = 65535 * 0.0025 + 0.05
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
-@pytest.mark.parametrize("model", ["helios-16p", "helios-32", "airy"])
+@pytest.mark.parametrize("model", ["helios-16p", "helios-32", "airy", "fairy"])
 def test_changed_bytes(model, mode, tmp_path):
     rng = np.random.default_rng(7)
     of = mount(model, return_mode=mode)

@@ -1,6 +1,9 @@
 """What a Helios sends and how it is read back: simulated captures against the ground truth and the manuals' bytes."""
 
+import re
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -288,3 +291,27 @@ def test_angles_that_difop_cannot_say():
     beams = sensor.beams.model_copy(update={"elevation_deg": (15.001, *sensor.beams.elevation_deg[1:])})
     with pytest.raises(ConfigError, match=r"beams.elevation_deg\[0\]: DIFOP packets cannot say 15.001; allowed: -90"):
         check_exportable(mount("helios-32", sensor=sensor.model_copy(update={"beams": beams})), 10**9)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts what a process reads")
+def test_many_sensors_without_difop_are_looked_for_in_one_reading(tmp_path):
+    """By the bytes that the system says were read: not the capture again for each of 200 sensors."""
+    (batch,) = codec(load_sensor("airy")).schedule(mount("airy"), START_NS, [range(2)])
+    nothing = np.full((len(batch.firings.laser), 1), np.inf)
+    data = codec(load_sensor("airy")).encode(mount("airy"), batch, nothing, np.zeros(nothing.shape, np.uint8)).data
+    rows = [(n, k) for k in range(2) for n in range(200)]
+    sent = [Datagram(START_NS + k * 444_444, f"10.0.0.{n}", 6699, 6699, data[k].tobytes()) for n, k in rows]
+    path = tmp_path / "many.pcap"
+    write_datagrams(path, sent)
+
+    def bytes_read():
+        return int(re.search(r"rchar: (\d+)", Path("/proc/self/io").read_text())[1])
+
+    said = []
+    list(decode_pcap(path, said.append))  # what modules and sensors' files take
+    before = bytes_read()
+    list(decode_pcap(path, said.append))
+    assert bytes_read() - before < 10 * path.stat().st_size
+    assert said[:200] == [
+        f"{path}: 10.0.0.{n}:6699: no DIFOP near its start; those of airy's file are taken" for n in range(200)
+    ]
