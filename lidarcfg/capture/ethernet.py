@@ -1,6 +1,7 @@
 """Reads and writes UDP datagrams in Ethernet frames. The only module that knows Ethernet, IP and UDP."""
 
 import socket
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -49,6 +50,21 @@ class EthernetFrames:
 
     time_ns: Times  # (n,) host time, in whole microseconds
     records: list[bytes]  # (n,)
+
+    @property
+    def packets(self) -> Iterator[tuple[int, list[bytes]]]:
+        """The host time and the frames of each packet: of one that is sent in fragments, several."""
+        at = RECORD.itemsize + ETHERNET_HEADER.itemsize + IP.fields["flags"][1]
+        first = [k for k, one in enumerate(self.records) if not int.from_bytes(one[at : at + 2]) & FRAGMENT_OFFSET]
+        for begin, end in zip(first, [*first[1:], len(self.records)], strict=True):
+            yield int(self.time_ns[begin]), self.records[begin:end]
+
+
+def stamped(record: bytes, time_ns: int) -> bytes:
+    """A frame of this host time."""
+    head = np.frombuffer(record, RECORD, 1).copy()
+    head["seconds"], head["microseconds"] = divmod(time_ns // 1000, 10**6)
+    return head.tobytes() + record[RECORD.itemsize :]
 
 
 @dataclass(frozen=True)

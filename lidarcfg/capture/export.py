@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.ethernet import EthernetFrames, ethernet_frames
 from lidarcfg.capture.ground_truth import RECORD, records
+from lidarcfg.capture.wire import over_wire
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
@@ -50,7 +51,7 @@ def simulated_packets(
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
     The vehicle's bodies, if given, travel along and block beams; as objects they follow those of the scene.
-    Sensor i of n starts i/n of a packet after the first, so that packets interleave.
+    Sensor i of n starts i/n of a packet after the first, so that packets interleave. Packets have the rig's faults.
     `on_truth` is called with the records of `ground_truth`; like the functions of `options`, in the reader's thread.
     Raises ConfigError.
     """
@@ -60,9 +61,13 @@ def simulated_packets(
     runs = sensor_runs(SceneDrive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
     runner = ChunkRunner.of(options, len(runs))
     origin = scene.file.geo_origin
-    return [
+    streams = [
         in_time_order([_data_stream(run, runner, on_truth), _housekeeping_stream(run, trajectory, origin)])
         for run in runs
+    ]
+    return [
+        over_wire(stream, rig.faults_of(run.mount.name), start_ns, options.on_fault)
+        for run, stream in zip(runs, streams, strict=True)
     ]
 
 

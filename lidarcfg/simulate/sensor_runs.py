@@ -30,6 +30,7 @@ CHUNK_RAYS = 196_608  # the same in rays
 AHEAD = 1  # chunks of a sensor that are traced while others are written
 
 OnRays = Callable[[RayCounts], None]
+OnFault = Callable[[int, int], None]  # the number of a fault in the rig, and how many more packets it has hit
 T = TypeVar("T")
 
 
@@ -39,6 +40,7 @@ class SimulationOptions:
 
     on_progress: Callable[[int], None] = lambda done_ns: None  # the simulated time so far, of the duration
     on_rays: OnRays = lambda counts: None  # the numbers of rays of each chunk
+    on_fault: OnFault = lambda number, packets: None  # for each chunk
     chunk_ns: int = CHUNK_NS  # traced at a time, at most
     threads: int | None = None  # none: as many as cores
 

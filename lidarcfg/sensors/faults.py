@@ -1,0 +1,153 @@
+"""Faults of a rig's sensors, as the rig's file or a file of their own lists them: each is of one sensor, for a while.
+
+A fault is of the kind that its key `fault` names; adding one is a class, and a line in `KINDS`. What faults do stands
+elsewhere: `simulate/faults.py` has those of clock, rotation and window, `capture/wire.py` those of the wire, and each
+maker's `report.py` what a sensor says of itself.
+"""
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticKnownError, core_schema
+
+from lidarcfg.config.document import Key
+from lidarcfg.config.models import Given, Model, Name, all_errors_at, as_model, load_or_check, validation_error
+from lidarcfg.errors import ConfigError
+from lidarcfg.units import SECOND_NS
+
+FAULTS_MAX = 1000
+NO_FAULTS = "none"  # in place of a file: no faults, whatever the rig says
+Fraction = Annotated[float, Field(gt=0, le=1)]
+Seconds = Annotated[float, Field(ge=0, le=86_400)]
+Share = Annotated[Fraction, Field(description="the fraction of the packets that it hits")]
+Seed = Annotated[int, Field(ge=0, lt=2**63, description="of the random numbers; 0 by default")]
+
+
+class Fault(Model):
+    """A fault of one sensor, in a time since the export's start. Each kind has figures of its own."""
+
+    fault: str
+    sensor: Name
+    start_s: Seconds
+    end_s: Seconds
+
+    @model_validator(mode="after")
+    def _check_end(self) -> "Fault":
+        if not self.start_s < self.end_s:
+            raise validation_error(f"{self.end_s:g} is not after start_s, {self.start_s:g}", "end_s")
+        return self
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """From, to, since the start."""
+        return round(self.start_s * SECOND_NS), round(self.end_s * SECOND_NS)
+
+
+class WireFault(Fault):
+    """A fault between the sensor and the capture: packets are as sent, but for when they come, and whether."""
+
+    fraction: Share = 1.0
+    seed: Seed = 0
+
+
+class Lost(WireFault):
+    """Packets do not come."""
+
+    fault: Literal["lost"]
+
+
+class Doubled(WireFault):
+    """Packets come twice, one copy right behind the other."""
+
+    fault: Literal["doubled"]
+
+
+class Late(WireFault):
+    """Packets come later than they were sent; others overtake them, unless all are late."""
+
+    fault: Literal["late"]
+    delay_s: Annotated[float, Field(gt=0, le=60, description="how much later")]
+
+
+class Overtaken(WireFault):
+    """Packets come behind those that were sent after them."""
+
+    fault: Literal["overtaken"]
+    by: Annotated[int, Field(ge=1, le=10_000, description="behind how many; 1 by default")] = 1
+
+
+KINDS: dict[str, type[Fault]] = {
+    "lost": Lost,
+    "doubled": Doubled,
+    "late": Late,
+    "overtaken": Overtaken,
+}
+
+
+def _fault(values: Any) -> Fault:
+    """A validator: the fault, of the kind that it names."""
+    if isinstance(values, Fault):
+        return values
+    if not isinstance(values, Mapping):
+        raise PydanticKnownError("model_type", {"class_name": "fault"})
+    name = values.get("fault")
+    if name is None:
+        raise validation_error(f"missing key fault; allowed: {', '.join(KINDS)}")
+    if not isinstance(name, str) or name not in KINDS:
+        close = difflib.get_close_matches(str(name), KINDS, 1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise validation_error(f"{name!r} is not allowed; {hint}allowed: {', '.join(KINDS)}", "fault")
+    return as_model(KINDS[name], dict(values))
+
+
+class _ByName:
+    """How pydantic reads a fault."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(_fault)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"anyOf": [handler(TypeAdapter(one).core_schema) for one in KINDS.values()]}
+
+
+AnyFault = Annotated[Fault, _ByName()]
+Faults = Annotated[tuple[AnyFault, ...], Field(max_length=FAULTS_MAX)]
+
+
+class FaultsFile(Model):
+    """Faults in a file of their own, for any rig that has the sensors."""
+
+    kind: ClassVar[str] = "faults"
+    faults: Annotated[Faults, Field(min_length=1)]
+
+
+def load_faults(given: Given | Sequence[Fault] | None, sensors: Iterable[str]) -> tuple[Fault, ...]:
+    """The faults in a YAML file, of a dict with its keys, or as they are, of a rig with these sensors; none of `none`.
+
+    Raises ConfigError with file, line and key.
+    """
+    if given is None or str(given) == NO_FAULTS:
+        return ()
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        faults, path = tuple(given), Path(FaultsFile.kind)
+    else:
+        file, path = load_or_check(given, FaultsFile)
+        faults = file.faults
+    if errors := fault_errors(path, faults, sensors):
+        raise ConfigError.all_of(errors)
+    return faults
+
+
+def fault_errors(path: Path, faults: Sequence[Fault], sensors: Iterable[str]) -> list[ConfigError]:
+    """The errors of faults, listed at `faults` of a file, of sensors that the rig does not have."""
+    known = tuple(sensors)
+    found: list[tuple[Key, object]] = [
+        (("faults", i, "sensor"), f"no sensor is called {fault.sensor!r}; allowed: {', '.join(known)}")
+        for i, fault in enumerate(faults)
+        if fault.sensor not in known
+    ]
+    return all_errors_at(path, found) if found else []
