@@ -41,6 +41,7 @@ IP = np.dtype(
         *[("protocol", "u1"), ("checksum", ">u2"), ("source", "u1", (4,)), ("destination", "u1", (4,))],
     ]
 )
+FLAGS_AT = 6  # bytes into IP
 UDP = np.dtype([(key, ">u2") for key in ("source_port", "port", "length", "checksum")])
 
 
@@ -54,7 +55,7 @@ class EthernetFrames:
     @property
     def packets(self) -> Iterator[tuple[int, list[bytes]]]:
         """The host time and the frames of each packet: of one that is sent in fragments, several."""
-        at = RECORD.itemsize + ETHERNET_HEADER.itemsize + IP.fields["flags"][1]
+        at = RECORD.itemsize + ETHERNET_HEADER.itemsize + FLAGS_AT
         first = [k for k, one in enumerate(self.records) if not int.from_bytes(one[at : at + 2]) & FRAGMENT_OFFSET]
         for begin, end in zip(first, [*first[1:], len(self.records)], strict=True):
             yield int(self.time_ns[begin]), self.records[begin:end]

@@ -17,9 +17,12 @@ from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 from lidarcfg.config.document import Key
 from lidarcfg.config.models import Given, Model, Name, all_errors_at, as_model, load_or_check, validation_error
 from lidarcfg.errors import ConfigError
+from lidarcfg.sensors.sensor import AzimuthFov
 from lidarcfg.units import SECOND_NS
 
 FAULTS_MAX = 1000
+UNPLUGGED_MIN_S = 0.01  # longer than a packet takes
+Rpm = Annotated[float, Field(ge=0, le=10_000)]
 NO_FAULTS = "none"  # in place of a file: no faults, whatever the rig says
 Fraction = Annotated[float, Field(gt=0, le=1)]
 Seconds = Annotated[float, Field(ge=0, le=86_400)]
@@ -80,11 +83,92 @@ class Overtaken(WireFault):
     by: Annotated[int, Field(ge=1, le=10_000, description="behind how many; 1 by default")] = 1
 
 
+class Unplugged(Fault):
+    """The connector drops: no packets, and from the end on those of a sensor that has just been switched on."""
+
+    fault: Literal["unplugged"]
+
+    @model_validator(mode="after")
+    def _check_length(self) -> "Unplugged":
+        if self.end_s - self.start_s < UNPLUGGED_MIN_S:
+            what = f"{self.end_s:g} is less than {UNPLUGGED_MIN_S:g} s after start_s, {self.start_s:g}"
+            raise validation_error(what, "end_s")
+        return self
+
+
+class ClockFault(Fault):
+    """A fault of the sensor's clock: packets come when they did, with other stamps."""
+
+
+class ClockJump(ClockFault):
+    """The clock jumps, and at the end back; the sensor does not notice."""
+
+    fault: Literal["clock_jump"]
+    by_s: Annotated[float, Field(ge=-86_400, le=86_400, description="by how much; ahead, if positive")]
+
+
+class ClockDrift(ClockFault):
+    """The clock runs fast or slow, and is set right at the end; the sensor does not notice."""
+
+    fault: Literal["clock_drift"]
+    ppm: Annotated[float, Field(ge=-1e5, le=1e5, description="by how many millionths; fast, if positive")]
+
+
+class ClockLost(ClockFault):
+    """The clock's source (PTP, GPS) is lost: it is apart from the true time, and the sensor reports the loss."""
+
+    fault: Literal["clock_lost"]
+    apart_s: Annotated[float, Field(ge=-86_400, le=86_400, description="how far; ahead, if positive")]
+
+
+class Rotation(Fault):
+    """The head turns slower, or stands still; then it turns on from there."""
+
+    fault: Literal["rotation"]
+    rpm: Annotated[
+        tuple[Rpm, Rpm],
+        Field(description="at the start and at the end; evenly in between: `[0, 0]` stalls, `[0, 600]` spins up"),
+    ]
+
+
+class DirtyWindow(Fault):
+    """The window is dirty over a sector: returns are lost there, and the sensor reports what it does of that."""
+
+    fault: Literal["dirty_window"]
+    azimuth_deg: Annotated[
+        AzimuthFov, Field(description="`[from, to]`, clockwise from the sensor's x axis, as `azimuth_fov_deg`")
+    ]
+    fraction: Annotated[Fraction, Field(description="of the returns there that are lost; 1 by default")] = 1.0
+    seed: Seed = 0
+
+
+class Temperature(Fault):
+    """The sensor is too hot, and says so."""
+
+    fault: Literal["temperature"]
+    celsius: Annotated[float, Field(ge=-100, le=200, description="that it measures")]
+
+
+class Voltage(Fault):
+    """The sensor's supply is out of limits, and it says so."""
+
+    fault: Literal["voltage"]
+    volts: Annotated[float, Field(ge=0, le=100, description="that it measures")]
+
+
 KINDS: dict[str, type[Fault]] = {
     "lost": Lost,
     "doubled": Doubled,
     "late": Late,
     "overtaken": Overtaken,
+    "unplugged": Unplugged,
+    "clock_jump": ClockJump,
+    "clock_drift": ClockDrift,
+    "clock_lost": ClockLost,
+    "rotation": Rotation,
+    "dirty_window": DirtyWindow,
+    "temperature": Temperature,
+    "voltage": Voltage,
 }
 
 
