@@ -204,7 +204,7 @@ def _housekeeping_stream(run: SensorRun, trajectory: Trajectory, origin: GeoOrig
         for due_ns, ahead_ns in run.faults.steps(second_ns, run.start_ns, DRIFT_NS):
             motion = replace(trajectory, zero_ns=trajectory.zero_ns + ahead_ns)  # by the sensor's clock
             kinds = maker.housekeeping(run.mount, motion, origin, run.start_ns + ahead_ns, due_ns)
-            if run.faults:
+            if run.faults.of_sensor:
                 kinds = chain(kinds, maker.states(run.mount, run.start_ns + ahead_ns, due_ns))
             sent = [replace(some, time_ns=some.time_ns - ahead_ns) for some in kinds if len(some.time_ns)]
             yield from in_time_order([iter([_frames(run, some)]) for some in sent])
@@ -212,7 +212,7 @@ def _housekeeping_stream(run: SensorRun, trajectory: Trajectory, origin: GeoOrig
 
 def _frames(run: SensorRun, payloads: Payloads) -> EthernetFrames:
     """The frames of a sensor's packets, in which it reports what is wrong with it."""
-    if run.faults:
+    if run.faults.of_sensor:
         mount = run.mount
         payloads = codec(mount.sensor).report(mount, payloads, run.faults.condition(payloads.time_ns))
     return ethernet_frames(run.mount.host, payloads)

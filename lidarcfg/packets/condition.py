@@ -46,4 +46,5 @@ class Condition:
     @property
     def dirty(self) -> Flags:
         """(P,) whether some of the window is dirty."""
-        return np.logical_or.reduce([np.zeros(len(self.rpm), np.bool_), *(dirt.there for dirt in self.dirt)])
+        none = np.zeros(len(self.rpm), np.bool_)
+        return np.asarray(np.logical_or.reduce([none, *(dirt.there for dirt in self.dirt)]))

@@ -26,7 +26,7 @@ Rpm = Annotated[float, Field(ge=0, le=10_000)]
 NO_FAULTS = "none"  # in place of a file: no faults, whatever the rig says
 Fraction = Annotated[float, Field(gt=0, le=1)]
 Seconds = Annotated[float, Field(ge=0, le=86_400)]
-Share = Annotated[Fraction, Field(description="the fraction of the packets that it hits")]
+Share = Annotated[Fraction, Field(description="of the packets, that it hits; all by default")]
 Seed = Annotated[int, Field(ge=0, lt=2**63, description="of the random numbers; 0 by default")]
 
 
@@ -121,7 +121,7 @@ class ClockLost(ClockFault):
     apart_s: Annotated[float, Field(ge=-86_400, le=86_400, description="how far; ahead, if positive")]
 
 
-class Rotation(Fault):
+class SlowHead(Fault):
     """The head turns slower, or stands still; then it turns on from there."""
 
     fault: Literal["rotation"]
@@ -165,7 +165,7 @@ KINDS: dict[str, type[Fault]] = {
     "clock_jump": ClockJump,
     "clock_drift": ClockDrift,
     "clock_lost": ClockLost,
-    "rotation": Rotation,
+    "rotation": SlowHead,
     "dirty_window": DirtyWindow,
     "temperature": Temperature,
     "voltage": Voltage,

@@ -21,7 +21,7 @@ from lidarcfg.sensors.faults import (
     ClockLost,
     DirtyWindow,
     Fault,
-    Rotation,
+    SlowHead,
     Temperature,
     Unplugged,
     Voltage,
@@ -51,7 +51,7 @@ class SensorFaults:
         cls, mount: Mount, faults: Mapping[int, Fault], timing: Timing, start_ns: int, end_ns: int
     ) -> "SensorFaults":
         """Those of a sensor. Raises ConfigError for what it cannot have."""
-        turns = [fault for fault in faults.values() if isinstance(fault, Rotation)]
+        turns = [fault for fault in faults.values() if isinstance(fault, SlowHead)]
         by_encoder = False
         if turns:
             if mount.sensor.scan_pattern or mount.azimuth_fov_deg:
@@ -66,8 +66,9 @@ class SensorFaults:
                 raise ConfigError(f"{mount.name}: two rotation faults at {other.start_s:g} s; allowed: one at a time")
         return cls(mount, faults, start_ns, end_ns, by_encoder)
 
-    def __bool__(self) -> bool:
-        """Whether there are faults of the sensor itself."""
+    @property
+    def of_sensor(self) -> bool:
+        """Whether there are faults of the sensor itself, and not of the wire only."""
         return any(not isinstance(fault, WireFault) for fault in self.faults.values())
 
     def plugged(self, begin_ns: int) -> list[tuple[int, int]]:
@@ -85,7 +86,7 @@ class SensorFaults:
         kept = {
             number: fault
             for number, fault in self.faults.items()
-            if not (isinstance(fault, Rotation) and self._span(fault)[0] < begin_ns)
+            if not (isinstance(fault, SlowHead) and self._span(fault)[0] < begin_ns)
         }
         return replace(self, faults=kept, restarts=times)
 
@@ -106,7 +107,7 @@ class SensorFaults:
 
     def fired(self, batch: FiringBatch) -> FiringBatch:
         """The firings of packets as the head really turns; of those that are complete before the end."""
-        turns = [fault for fault in self.faults.values() if isinstance(fault, Rotation)]
+        turns = [fault for fault in self.faults.values() if isinstance(fault, SlowHead)]
         if not turns or not len(batch.sent_ns):
             return batch
         turns.sort(key=lambda turn: turn.start_s)
@@ -124,7 +125,7 @@ class SensorFaults:
         kept = replace(fired, time_ns=time_ns)[: count * each]
         return FiringBatch(kept, batch.number[:count], sent_ns[:count], None, batch.first)
 
-    def _behind(self, turns: list[Rotation], time_ns: Times) -> Array:
+    def _behind(self, turns: list[SlowHead], time_ns: Times) -> Array:
         """How many revolutions the head is behind where it would be without faults, at times of any shape."""
         behind = np.zeros(time_ns.shape)
         for turn in turns:
@@ -135,7 +136,7 @@ class SensorFaults:
             behind += past * mean / MINUTE_NS
         return behind
 
-    def _delayed(self, turns: list[Rotation], time_ns: Times) -> Times:
+    def _delayed(self, turns: list[SlowHead], time_ns: Times) -> Times:
         """When the head is where it would be at these times, of any shape, without faults."""
         late_ns = np.zeros(time_ns.shape, np.int64)  # by the faults before
         for turn in turns:
@@ -156,7 +157,7 @@ class SensorFaults:
         """(P,): the speed of the head."""
         rpm = np.full(len(time_ns), self.mount.rpm)
         for fault in self.faults.values():
-            if isinstance(fault, Rotation):
+            if isinstance(fault, SlowHead):
                 from_ns, to_ns = self._span(fault)
                 share = (time_ns - from_ns) / (to_ns - from_ns)
                 during = self._during(fault, time_ns)

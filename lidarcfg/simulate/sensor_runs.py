@@ -61,7 +61,7 @@ class SensorRun(SensorTimeline):
     def sessions(self) -> list["SensorRun"]:
         """The same from each time that it is plugged in, to when it is unplugged."""
         period_ns = self.timing.pace(self.mount).period_ns
-        found = []
+        found: list[SensorRun] = []
         for begin_ns, end_ns in self.faults.plugged(self.start_ns):
             before_ns = begin_ns - self.start_ns
             session = replace(

@@ -56,7 +56,7 @@ def report_states(data: Bytes, condition: Condition) -> Bytes:
 
 
 def _state(temperature: bytes, sync: int, codes: list[int]) -> bytes:
-    values = {
+    values: dict[int, bytes] = {
         Key.STATE: bytes([WorkMode.SAMPLING]),
         Key.TEMPERATURE: temperature,
         Key.SYNC: bytes([sync]),
