@@ -1,7 +1,7 @@
 """From a rig and a scene, or their files, to a capture or to points with ground truth, in one call."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from lidarcfg.files import check_replaceable, remove_outdated
 from lidarcfg.geometry import Array
 from lidarcfg.io import formats
 from lidarcfg.io.drive_dataset import DriveDataset
-from lidarcfg.sensors.faults import Fault
+from lidarcfg.sensors.faults import GivenFaults
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.scans import simulated_scans
 from lidarcfg.simulate.scene_drive import SceneDrive
@@ -42,7 +42,7 @@ def export(
     to: str | None = None,
     on_warning: Callable[[str], None] = print,
     trajectory: str | Path | None = None,
-    faults: Given | Sequence[Fault] | None = None,
+    faults: GivenFaults = None,
 ) -> Exported:
     """Write what a rig's sensors send, or see, in a scene: the formats of `lidarcfg export`, by suffix or `to`.
 
@@ -50,7 +50,7 @@ def export(
     `trajectory` says, or along a trajectory. The rig's own vehicle travels along and blocks beams. Simulated time
     begins at START_NS. A manifest beside the output names all this for `decode`, as the command's does.
 
-    `faults` of the sensors, in a capture, are a file, a dict with its keys or a list of them, instead of the rig's.
+    `faults` of the sensors, in a capture, are a file, a dict with its keys, a list or `none`, instead of the rig's.
 
     Inputs that are in no file are written beside it, too: OUTPUT.rig.yaml, OUTPUT.scene.yaml, OUTPUT.trajectory.yaml or
     .tum. That cannot say a pose that is not rigid, sensors that are in no file but have more than elevations, and a

@@ -202,6 +202,9 @@ AnyFault = Annotated[Fault, _ByName()]
 Faults = Annotated[tuple[AnyFault, ...], Field(max_length=FAULTS_MAX)]
 
 
+GivenFaults = Given | Sequence[Fault | Mapping[str, Any]] | None
+
+
 class FaultsFile(Model):
     """Faults in a file of their own, for any rig that has the sensors."""
 
@@ -209,21 +212,19 @@ class FaultsFile(Model):
     faults: Annotated[Faults, Field(min_length=1)]
 
 
-def load_faults(given: Given | Sequence[Fault] | None, sensors: Iterable[str]) -> tuple[Fault, ...]:
-    """The faults in a YAML file, of a dict with its keys, or as they are, of a rig with these sensors; none of `none`.
+def load_faults(given: GivenFaults, sensors: Iterable[str]) -> tuple[Fault, ...]:
+    """The faults in a YAML file, of a dict with its keys, or in a list, of a rig with these sensors; none of `none`.
 
     Raises ConfigError with file, line and key.
     """
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        given = {"faults": [one.model_dump() if isinstance(one, Fault) else one for one in given]} if given else None
     if given is None or str(given) == NO_FAULTS:
         return ()
-    if isinstance(given, Sequence) and not isinstance(given, str):
-        faults, path = tuple(given), Path(FaultsFile.kind)
-    else:
-        file, path = load_or_check(given, FaultsFile)
-        faults = file.faults
-    if errors := fault_errors(path, faults, sensors):
+    file, path = load_or_check(given, FaultsFile)
+    if errors := fault_errors(path, file.faults, sensors):
         raise ConfigError.all_of(errors)
-    return faults
+    return file.faults
 
 
 def fault_errors(path: Path, faults: Sequence[Fault], sensors: Iterable[str]) -> list[ConfigError]:
