@@ -20,6 +20,7 @@ from lidarcfg.packets.livox.layout import PTP, headers_of
 from lidarcfg.packets.livox.model import LivoxUnit
 from lidarcfg.units import SECOND_NS
 
+UNSYNCHRONISED = 0  # a time type
 WARNING = 2  # a level
 HOT = 0x0103 << 16 | WARNING
 DIRTY = 0x0104 << 16 | WARNING
@@ -30,7 +31,7 @@ HUNDREDTHS = 100
 def report(data: Bytes, condition: Condition) -> Bytes:
     """Packets (P, size), of points or inertial, with what the sensor says."""
     packets = data.copy()
-    headers_of(packets)["time_type"] = PTP * condition.synchronised
+    headers_of(packets)["time_type"][~condition.synchronised] = UNSYNCHRONISED
     return packets
 
 
@@ -51,7 +52,7 @@ def report_states(data: Bytes, condition: Condition) -> Bytes:
     for temperature_c, hot, dirty, synchronised in zip(*(column.tolist() for column in columns), strict=True):
         temperature = struct.pack("<i", round(temperature_c * HUNDREDTHS) if hot else 0)
         codes = [code for code, there in ((HOT, hot), (DIRTY, dirty)) if there]
-        rows.append(_state(temperature, PTP * synchronised, codes))
+        rows.append(_state(temperature, PTP if synchronised else UNSYNCHRONISED, codes))
     return np.frombuffer(b"".join(rows), np.uint8).reshape(data.shape)
 
 

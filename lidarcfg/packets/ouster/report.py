@@ -5,18 +5,28 @@ dirt makes this byte is not public: it is taken as the fraction of returns lost,
 initialization is another one, so that it is not that of the metadata (Ouster's sensor documentation, packet header).
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from lidarcfg.geometry import Bytes
 from lidarcfg.packets.condition import Condition
-from lidarcfg.packets.ouster.layout import Layout, column_headers, column_values, crc64, values
+from lidarcfg.packets.ouster.layout import (
+    Layout,
+    column_headers,
+    column_values,
+    crc64,
+    packet_headers,
+    values,
+    write_packet_headers,
+)
 from lidarcfg.packets.ouster.model import Mode
 
 COUNTDOWN_AT = 16  # bytes of the header
 SHUTDOWN_AT = 18
 IMMINENT = 1
 COUNTDOWN_S = 30  # from the alarm to the shutdown
-INIT_BYTES = 3
+INITS = 1 << 24
 FULL = 255  # a window that nothing passes
 
 
@@ -24,17 +34,18 @@ def report(mode: Mode, data: Bytes, condition: Condition) -> Bytes:
     """Lidar packets (P, size) with what the sensor says."""
     packets = data.copy()
     layout = mode.layout
+    checksum_at = layout.size - 8
+    checked = not layout.legacy and bool((values(data, "<u8", checksum_at) == crc64(data)).all())
     if not layout.legacy:
+        init = (mode.init + condition.restarts) % INITS
+        write_packet_headers(layout, packets, replace(packet_headers(layout, packets), init=init))
         left_s = np.where(condition.hot, np.ceil(COUNTDOWN_S - np.nan_to_num(condition.hot_s)), 0)
         values(packets, "u1", COUNTDOWN_AT)[:] = np.clip(left_s, 0, COUNTDOWN_S)
         values(packets, "u1", SHUTDOWN_AT)[:] = IMMINENT * condition.hot
-        init_at = 1 if layout.profile.header == "fusa" else 4
-        init = (mode.init + condition.restarts) % (1 << 8 * INIT_BYTES)
-        packets[:, init_at : init_at + INIT_BYTES] = np.frombuffer(init.to_bytes(INIT_BYTES, "little"), np.uint8)
-    if "window" in layout.profile.fields:
+    if mode.modern and "window" in layout.profile.fields:
         _write_window(layout, packets, condition)
-    if mode.modern and layout.profile.header == "standard":
-        values(packets, "<u8", layout.size - 8)[:] = crc64(packets)
+    if checked:
+        values(packets, "<u8", checksum_at)[:] = crc64(packets)
     return packets
 
 

@@ -10,6 +10,7 @@ from lidarcfg.geometry import Array, Bytes
 from lidarcfg.packets.condition import Condition
 from lidarcfg.packets.robosense.layout import AIRY, Packets, Series, bytes_of, packets_of
 
+UNSYNCHRONISED = 0  # a state of the clock
 TEMPERATURE_AT = 5  # bytes into the reserved ones of an MSOP packet's header
 SIXTEENTH_C = 0.0625  # the unit of temperatures there
 STEPS = 4096  # of DIFOP's values
@@ -35,7 +36,7 @@ def report_msop(series: Series, data: Bytes, condition: Condition) -> Bytes:
 def report_difop(series: Series, data: Bytes, condition: Condition) -> Bytes:
     """DIFOP packets (P, 1248) with what the sensor says."""
     packets: Packets = np.ascontiguousarray(data.copy()).view(series.difop)[:, 0]
-    packets["sync_state"] = np.where(condition.synchronised, series.clock_locked, 0)
+    packets["sync_state"][~condition.synchronised] = UNSYNCHRONISED
     if series is AIRY:
         packets["real_rpm"] = np.rint(condition.rpm)
         return bytes_of(packets)
