@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.ethernet import EthernetFrames, ethernet_frames
+from lidarcfg.capture.ethernet import EthernetFrames, mount_frames
 from lidarcfg.capture.ground_truth import RECORD, records
 from lidarcfg.capture.wire import over_wire
 from lidarcfg.errors import ConfigError
@@ -70,7 +70,7 @@ def simulated_packets(
         for number, packets in run.faults.costs(run.timing.pace(run.mount).period_ns).items():
             options.on_fault(number, packets)
         for session in run.sessions:
-            data = _data_stream(session, runner, on_truth, options.on_fault)
+            data = _data_stream(session, runner, trajectory, on_truth, options.on_fault)
             yield from in_time_order([data, _housekeeping_stream(session, trajectory, origin)])
 
     streams = [sent(run) for run in runs]
@@ -103,7 +103,7 @@ def data_bytes(drive: SceneDrive) -> int:
         shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
         packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
-        total += packets * sum(map(len, ethernet_frames(mount.host, packet).records))
+        total += packets * sum(map(len, mount_frames(mount, packet).records))
     return round(total)
 
 
@@ -170,7 +170,7 @@ class _TracedFrames:
 
 
 def _data_stream(
-    run: SensorRun, runner: ChunkRunner, on_truth: OnTruth | None, on_fault: OnFault
+    run: SensorRun, runner: ChunkRunner, trajectory: Trajectory, on_truth: OnTruth | None, on_fault: OnFault
 ) -> Iterator[EthernetFrames]:
     """The data packets completed within the duration, each sent when complete."""
     maker = codec(run.mount.sensor)
@@ -179,7 +179,8 @@ def _data_stream(
     def make(fired: FiringBatch, found: Echoes) -> _TracedFrames:
         batch = run.faults.stamped(fired)
         range_m = found.range_m + found.noise_m
-        payloads = maker.encode(mount, batch, range_m, found.reflectivity)
+        encoded = maker.encode(mount, batch, range_m, found.reflectivity)
+        payloads = maker.with_inertial(mount, trajectory, encoded)
         truth = np.empty(0, RECORD)
         if on_truth:
             types = maker.return_types(mount, range_m, found.reflectivity)
@@ -215,4 +216,4 @@ def _frames(run: SensorRun, payloads: Payloads) -> EthernetFrames:
     if run.faults.of_sensor:
         mount = run.mount
         payloads = codec(mount.sensor).report(mount, payloads, run.faults.condition(payloads.time_ns))
-    return ethernet_frames(run.mount.host, payloads)
+    return mount_frames(run.mount, payloads)

@@ -16,7 +16,7 @@ from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.simulate.drive import Drive
 from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import START_NS
-from tests.capture_fixtures import no_warning, scene
+from tests.capture_fixtures import datagrams_of, no_warning, scene
 from tests.command_line import lidarcfg as command
 
 DURATION_NS = 60_000_000
@@ -198,3 +198,17 @@ def test_what_is_wrong_is_said(tmp_path, line, said):
     with pytest.raises(ConfigError) as error:
         load_faults(path, ["a"])
     assert said in str(error.value)
+
+
+def test_in_a_vlan_a_fragmented_packet_is_hit_whole(world, tmp_path):
+    """As without the tag, which stands before IP: the same packets come."""
+    lost = {"fault": "lost", "sensor": "b", "start_s": SPAN_S[0], "end_s": SPAN_S[1], "fraction": 0.5}
+    contents = []
+    for tag in (None, 7):
+        path = tmp_path / f"{tag}.pcap"
+        sensors = ({**RIG["sensors"][1], "host": "192.168.1.202", **({"vlan_id": tag} if tag else {})},)
+        rig = load_rig({"name": "one", "sensors": sensors, "faults": (lost,)})
+        write_pcap(path, in_time_order(simulated_packets(rig, world, np.eye(4), DURATION_NS)))
+        contents.append([one.payload for one in datagrams_of(path)])
+    assert contents[0] == contents[1]
+    assert len(contents[0]) > 30

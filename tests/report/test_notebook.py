@@ -56,7 +56,7 @@ class Cells(HTMLParser):
 
     def handle_data(self, data):
         if self.texts:
-            self.texts[-1] += data
+            self.texts[-1] += data.strip()
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,9 @@ from lidarcfg.packets.inertial import samples
 from lidarcfg.packets.livox import commands
 from lidarcfg.packets.livox.commands import Command, CommandFrame, Key, WorkMode
 from lidarcfg.packets.livox.emulator import STATE_PORTS
-from lidarcfg.packets.livox.layout import PTP, headers_of
+from lidarcfg.packets.livox.layout import TIME_TYPES, headers_of
 from lidarcfg.packets.livox.model import LivoxUnit
+from lidarcfg.sensors.rig import Clock
 from lidarcfg.units import SECOND_NS
 
 UNSYNCHRONISED = 0  # a time type
@@ -35,24 +36,24 @@ def report(data: Bytes, condition: Condition) -> Bytes:
     return packets
 
 
-def states(unit: LivoxUnit, start_ns: int, due_ns: range) -> Iterator[Payloads]:
+def states(unit: LivoxUnit, clock: Clock, start_ns: int, due_ns: range) -> Iterator[Payloads]:
     """The states that the sensor pushes once a second; nothing is wrong in them."""
     headers = unit.facts.headers
     port_from, port_to = STATE_PORTS.get(unit.facts.device.type, STATE_PORTS[9])
     for number, _, sent_ns in samples(start_ns, due_ns, SECOND_NS):
-        data = np.frombuffer(_state(b"\0" * 4, PTP, []) * len(number), np.uint8).reshape(len(number), -1)
+        data = np.frombuffer(_state(b"\0" * 4, TIME_TYPES[clock], []) * len(number), np.uint8).reshape(len(number), -1)
         header = headers.imu.model_copy(update={"source_port": port_from})
         yield Payloads(sent_ns, data, port_to, headers, header, int(number[0]))
 
 
-def report_states(data: Bytes, condition: Condition) -> Bytes:
+def report_states(data: Bytes, clock: Clock, condition: Condition) -> Bytes:
     """States (P, size) with what is wrong."""
     rows = []
     columns = condition.temperature_c, condition.hot, condition.dirty, condition.synchronised
     for temperature_c, hot, dirty, synchronised in zip(*(column.tolist() for column in columns), strict=True):
         temperature = struct.pack("<i", round(temperature_c * HUNDREDTHS) if hot else 0)
         codes = [code for code, there in ((HOT, hot), (DIRTY, dirty)) if there]
-        rows.append(_state(temperature, PTP if synchronised else UNSYNCHRONISED, codes))
+        rows.append(_state(temperature, TIME_TYPES[clock] if synchronised else UNSYNCHRONISED, codes))
     return np.frombuffer(b"".join(rows), np.uint8).reshape(data.shape)
 
 
