@@ -25,6 +25,7 @@ from lidarcfg.report.summaries import summary
 from lidarcfg.requirements.file import KINDS
 from lidarcfg.requirements.scenarios.file import ScenarioFile
 from lidarcfg.search.sweep_plan import PlanFile
+from lidarcfg.sensors.faults import FaultsFile
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Sensor
@@ -308,6 +309,7 @@ def test_yaml_on_a_page_is_what_it_looks_like(page, tmp_path):
             "scan_pattern": Sensor,
             "target": ScenarioFile,
             "sensors": RigFile,
+            "faults": FaultsFile,
             "ground": SceneFile,
             "boxes": SceneFile,
             "height_fields": SceneFile,

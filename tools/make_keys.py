@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write the tables of keys in docs/ from the kinds of requirements, the terms, the solvers, and what their keys say.
+"""Write the tables of keys in docs/ from the kinds of requirements and faults, the terms and the solvers.
 
 .venv/bin/python tools/make_keys.py          # writes them
 .venv/bin/python tools/make_keys.py --check  # exits with 1 if they are out of date
@@ -11,6 +11,8 @@ from pathlib import Path
 
 from lidarcfg.config.models import Model
 from lidarcfg.requirements.file import KINDS
+from lidarcfg.sensors.faults import KINDS as FAULTS
+from lidarcfg.sensors.faults import Fault
 from lidarcfg.solvers import SOLVERS, solver_of
 from lidarcfg.solvers.solver import Solver
 from lidarcfg.study.terms import TERMS
@@ -64,8 +66,23 @@ def solvers() -> list[str]:
     return [*rows, "", *key_rows(models, {*Solver.model_fields})]
 
 
+def faults() -> list[str]:
+    """A row for each kind, then one for each key."""
+    rows = ["| fault | keys; those before a semicolon must be given | what goes wrong |", "|---|---|---|"]
+    for name, kind in FAULTS.items():
+        fields = {key: field for key, field in kind.model_fields.items() if key not in Fault.model_fields}
+        groups = [
+            [f"`{key}`" for key, field in fields.items() if field.is_required() is required]
+            for required in (True, False)
+        ]
+        given, rest = (", ".join(group) for group in groups)
+        rows.append(f"| `{name}` | {'; '.join(filter(None, (given, rest))) or 'none'} | {says(kind)} |")
+    return [*rows, "", *key_rows(FAULTS, {*Fault.model_fields})]
+
+
 TABLES: dict[tuple[str, str], Callable[[], list[str]]] = {
     ("requirements.md", "kinds"): requirements,
+    ("faults.md", "faults"): faults,
     ("optimise.md", "terms"): terms,
     ("optimise.md", "solvers"): solvers,
 }

@@ -4,10 +4,10 @@ To read in this order. From a capture down to its bytes: `decode` turns a captur
 packets of each sensor, `source_finder` says whose they are, `stream` puts them in order; `pcap`, `ethernet` and
 `fragments` read the files, `selection` skips what is not wanted. `revolutions` cuts the points into these.
 
-The other way: `export` gives what the sensors of a rig send in a scene, `ground_truth` what each return hit; `writer`
-sends the same from the scenes of others. `manifest` names the inputs of a capture, and `manifest_writer` writes it.
-`replay` sends a capture over the network. Meanwhile `emulation` finds the sensors that answer drivers, and
-`emulation_server` answers on their ports.
+The other way: `export` gives what the sensors of a rig send in a scene, `ground_truth` what each return hit, and `wire`
+what of it is lost or late; `writer` sends the same from the scenes of others. `manifest` names the inputs of a capture,
+and `manifest_writer` writes it. `replay` sends a capture over the network. Meanwhile `emulation` finds the sensors that
+answer drivers, and `emulation_server` answers on their ports.
 """
 
 import lazy_loader

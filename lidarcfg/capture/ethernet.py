@@ -2,6 +2,7 @@
 
 import ipaddress
 import socket
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -44,6 +45,7 @@ IP = np.dtype(
         *[("protocol", "u1"), ("checksum", ">u2"), ("source", "u1", (4,)), ("destination", "u1", (4,))],
     ]
 )
+FLAGS_AT = 6  # bytes into IP
 UDP = np.dtype([(key, ">u2") for key in ("source_port", "port", "length", "checksum")])
 
 
@@ -53,6 +55,28 @@ class EthernetFrames:
 
     time_ns: Times  # (n,) host time, in whole microseconds
     records: list[bytes]  # (n,)
+
+    @property
+    def packets(self) -> Iterator[tuple[int, list[bytes]]]:
+        """The host time and the frames of each packet: of one that is sent in fragments, several."""
+        first = [k for k, one in enumerate(self.records) if not _fragment_offset(one)]
+        for begin, end in zip(first, [*first[1:], len(self.records)], strict=True):
+            yield int(self.time_ns[begin]), self.records[begin:end]
+
+
+def _fragment_offset(record: bytes) -> int:
+    """Where in its datagram a frame's content stands, in eight bytes: 0 of the first, and of one that is whole."""
+    kind_at = RECORD.itemsize + ETHERNET_HEADER.itemsize - 2
+    tagged = int.from_bytes(record[kind_at : kind_at + 2]) in VLAN
+    at = kind_at + 2 + 4 * tagged + FLAGS_AT
+    return int.from_bytes(record[at : at + 2]) & FRAGMENT_OFFSET
+
+
+def stamped(record: bytes, time_ns: int) -> bytes:
+    """A frame of this host time."""
+    head = np.frombuffer(record, RECORD, 1).copy()
+    head["seconds"], head["microseconds"] = divmod(time_ns // 1000, 10**6)
+    return head.tobytes() + record[RECORD.itemsize :]
 
 
 @dataclass(frozen=True)

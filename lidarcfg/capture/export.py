@@ -1,7 +1,8 @@
 """The packets of a rig's sensors on a vehicle that stands or drives in a scene."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,11 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.ethernet import EthernetFrames, mount_frames
 from lidarcfg.capture.ground_truth import RECORD, records
+from lidarcfg.capture.wire import over_wire
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch
 from lidarcfg.sensors.rig import Mount, Rig
@@ -20,6 +23,7 @@ from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.simulate.sensor_runs import (
     ChunkRunner,
+    OnFault,
     SensorRun,
     SimulationOptions,
     check_duration,
@@ -33,6 +37,7 @@ from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.vehicle import Vehicle
 
+DRIFT_NS = 10_000_000  # in which a clock's drift counts as none in other packets than those of returns
 OnTruth = Callable[[NDArray[np.void]], None]
 
 
@@ -50,7 +55,7 @@ def simulated_packets(
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
     The vehicle's bodies, if given, travel along and block beams; as objects they follow those of the scene.
-    Sensor i of n starts i/n of a packet after the first, so that packets interleave.
+    Sensor i of n starts i/n of a packet after the first, so that packets interleave. Packets have the rig's faults.
     `on_truth` is called with the records of `ground_truth`; like the functions of `options`, in the reader's thread.
     Raises ConfigError.
     """
@@ -60,9 +65,18 @@ def simulated_packets(
     runs = sensor_runs(SceneDrive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
     runner = ChunkRunner.of(options, len(runs))
     origin = scene.file.geo_origin
+
+    def sent(run: SensorRun) -> Iterator[EthernetFrames]:
+        for number, packets in run.faults.costs(run.timing.pace(run.mount).period_ns).items():
+            options.on_fault(number, packets)
+        for session in run.sessions:
+            data = _data_stream(session, runner, trajectory, on_truth, options.on_fault)
+            yield from in_time_order([data, _housekeeping_stream(session, trajectory, origin)])
+
+    streams = [sent(run) for run in runs]
     return [
-        in_time_order([_data_stream(run, runner, trajectory, on_truth), _housekeeping_stream(run, trajectory, origin)])
-        for run in runs
+        over_wire(stream, rig.faults_of(run.mount.name), start_ns, options.on_fault)
+        for run, stream in zip(runs, streams, strict=True)
     ]
 
 
@@ -152,16 +166,18 @@ class _TracedFrames:
 
     frames: EthernetFrames
     truth: NDArray[np.void]  # empty if not wanted
+    hits: Mapping[int, int]  # packets, by the fault of the sensor that hits them
 
 
 def _data_stream(
-    run: SensorRun, runner: ChunkRunner, trajectory: Trajectory, on_truth: OnTruth | None
+    run: SensorRun, runner: ChunkRunner, trajectory: Trajectory, on_truth: OnTruth | None, on_fault: OnFault
 ) -> Iterator[EthernetFrames]:
     """The data packets completed within the duration, each sent when complete."""
     maker = codec(run.mount.sensor)
     mount = run.mount
 
-    def make(batch: FiringBatch, found: Echoes) -> _TracedFrames:
+    def make(fired: FiringBatch, found: Echoes) -> _TracedFrames:
+        batch = run.faults.stamped(fired)
         range_m = found.range_m + found.noise_m
         encoded = maker.encode(mount, batch, range_m, found.reflectivity)
         payloads = maker.with_inertial(mount, trajectory, encoded)
@@ -171,11 +187,13 @@ def _data_stream(
             sent = maker.sent(mount, batch, payloads)
             fired_ns = maker.fired_ns(mount, batch, range_m)
             truth = records(run.index, types, batch.firings, fired_ns, found, sent)
-        return _TracedFrames(mount_frames(mount, payloads), truth)
+        return _TracedFrames(_frames(run, payloads), truth, run.faults.hits(batch.sent_ns))
 
     for chunk in map_chunks(run, runner, make):
         if on_truth:
             on_truth(chunk.truth)
+        for number, packets in chunk.hits.items():
+            on_fault(number, packets)
         yield chunk.frames
 
 
@@ -183,6 +201,19 @@ def _housekeeping_stream(run: SensorRun, trajectory: Trajectory, origin: GeoOrig
     """The sensor's other packets, a second at a time."""
     maker = codec(run.mount.sensor)
     for begin_ns in range(0, run.duration_ns, SECOND_NS):
-        due_ns = range(begin_ns, min(begin_ns + SECOND_NS, run.duration_ns))
-        kinds = maker.housekeeping(run.mount, trajectory, origin, run.start_ns, due_ns)
-        yield from in_time_order([iter([mount_frames(run.mount, some)]) for some in kinds if len(some.time_ns)])
+        second_ns = range(begin_ns, min(begin_ns + SECOND_NS, run.duration_ns))
+        for due_ns, ahead_ns in run.faults.steps(second_ns, run.start_ns, DRIFT_NS):
+            motion = replace(trajectory, zero_ns=trajectory.zero_ns + ahead_ns)  # by the sensor's clock
+            kinds = maker.housekeeping(run.mount, motion, origin, run.start_ns + ahead_ns, due_ns)
+            if run.faults.of_sensor:
+                kinds = chain(kinds, maker.states(run.mount, run.start_ns + ahead_ns, due_ns))
+            sent = [replace(some, time_ns=some.time_ns - ahead_ns) for some in kinds if len(some.time_ns)]
+            yield from in_time_order([iter([_frames(run, some)]) for some in sent])
+
+
+def _frames(run: SensorRun, payloads: Payloads) -> EthernetFrames:
+    """The frames of a sensor's packets, in which it reports what is wrong with it."""
+    if run.faults.of_sensor:
+        mount = run.mount
+        payloads = codec(mount.sensor).report(mount, payloads, run.faults.condition(payloads.time_ns))
+    return mount_frames(run.mount, payloads)

@@ -16,6 +16,7 @@ from lidarcfg.config.models import Model, Positive, error_at, load
 from lidarcfg.errors import ConfigError, reason
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, angles, pose
+from lidarcfg.sensors.faults import AnyFault, Fault
 from lidarcfg.sensors.rig import NO_VEHICLE, ReturnMode
 from lidarcfg.sensors.sensor import catalogue
 from lidarcfg.units import SECOND_NS, START_NS
@@ -41,6 +42,7 @@ class DriveInputs:
     start: str | None = None  # ISO 8601; None: START_NS
     duration_s: float | None = None
     return_mode: ReturnMode | None = None  # of all sensors; None: the rig's
+    faults: Path | None = None  # or none: no faults; None: the rig's
 
     @property
     def T_world_start(self) -> Array:
@@ -71,6 +73,7 @@ class DriveInputs:
             vehicle=self.vehicle,
             start_ns=self.start_ns,
             return_mode=self.return_mode,
+            faults=None if self.faults is None else str(self.faults),
         )
 
 
@@ -93,6 +96,21 @@ class Input(FileDigest):
     files: tuple[FileDigest, ...] | None = None  # meshes, height fields, maps of points, the sensors' own files
 
 
+class InjectedFault(Model):
+    """A fault of a capture, as it was made."""
+
+    injected: AnyFault
+    from_ns: int  # host time, as the capture has it
+    to_ns: int
+    packets: int  # that it hit
+
+    @classmethod
+    def of(cls, fault: Fault, start_ns: int, packets: int) -> "InjectedFault":
+        """A fault of a drive that starts so."""
+        from_ns, to_ns = (start_ns + at_ns for at_ns in fault.span_ns)
+        return cls(injected=fault, from_ns=from_ns, to_ns=to_ns, packets=packets)
+
+
 class CaptureManifest(Model):
     """What a capture was made of."""
 
@@ -107,6 +125,7 @@ class CaptureManifest(Model):
     start: str  # ISO 8601; UTC unless it names a zone
     return_mode: ReturnMode | None = None  # none: the rig's
     duration_s: Positive
+    faults: tuple[InjectedFault, ...] | None = None  # none: none
 
     _path: Path = PrivateAttr(default=Path())  # its own file
 

@@ -2,9 +2,10 @@
 
 import hashlib
 import os
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,6 +17,7 @@ from lidarcfg.capture.manifest import (
     CaptureManifest,
     DriveInputs,
     FileDigest,
+    InjectedFault,
     Input,
     format_pose,
     manifest_path,
@@ -60,6 +62,11 @@ class ManifestInputs:
     files: dict[str, Path | SidecarInput | None]
     named: dict[str, list[Path]]  # other files that these name
     values: dict[str, Any]  # the other keys of `CaptureManifest`
+
+    def with_faults(self, drive: SceneDrive, packets: Counter[int]) -> "ManifestInputs":
+        """The same with the faults of the drive's rig, by whose numbers the packets that they hit are counted."""
+        faults = [InjectedFault.of(one, drive.start_ns, packets[i]) for i, one in enumerate(drive.rig.faults)]
+        return replace(self, values=self.values | {"faults": tuple(faults) or None})
 
     @classmethod
     def of(cls, drive: SceneDrive, output: Path, given: DriveInputs) -> "ManifestInputs":

@@ -58,6 +58,8 @@ class Writer:
         if not names or len(set(names)) < len(names):
             what = f"{', '.join(names)}: one is given twice" if names else "no output"
             raise LidarcfgError(f"{what}; allowed: each a .pcap, {UDP}HOST[:PORT], or a cloud")
+        if drive.rig.faults:
+            raise LidarcfgError(f"rig {drive.rig.name!r} has faults, which only export makes; give it without")
         self._drive = drive
         self._written = [0] * len(drive.sensors)  # firings of each sensor
         self._end_s: float | None = None  # None: nothing is written

@@ -1,8 +1,9 @@
 """lidarcfg export: what a rig's sensors send or see in a scene."""
 
 import time
+from collections import Counter
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +72,12 @@ if TYPE_CHECKING:
         metavar="MODE",
         help="For every sensor: strongest, last, first or dual; Hesai's sensors also allow first-last, first-strongest "
         "and two-strongest.  [default: the rig's]",
+    ),
+    cloup.option(
+        "--faults",
+        type=FILE,
+        metavar="FILE|none",
+        help="What goes wrong with which sensor, and when: YAML; only for a .pcap.  [default: the rig's]",
     ),
     cloup.option("--duration", type=Seconds(86_400), metavar="SECONDS", required=True, help="Simulated time."),
 )
@@ -142,6 +149,7 @@ class ExportOptions:
     start: str | None
     duration: float
     return_mode: "ReturnMode | None"
+    faults: Path | None
     output: Path
     name: str | None
     split: bool
@@ -156,7 +164,7 @@ class ExportOptions:
         from lidarcfg.capture.manifest import DriveInputs
 
         motion = self.trajectory, self.vehicle, self.at, self.start
-        return DriveInputs(self.rig, self.scene, *motion, self.duration, self.return_mode)
+        return DriveInputs(self.rig, self.scene, *motion, self.duration, self.return_mode, self.faults)
 
     @property
     def is_capture(self) -> bool:
@@ -169,24 +177,29 @@ class ExportOptions:
             return [self.output.with_name(f"{self.output.stem}-{mount.name}.pcap") for mount in rig.mounts]
         return [self.output]
 
-    def save_manifest(self, path: Path, drive: "SceneDrive") -> None:
-        """Write the manifest beside what was written."""
+    def save_manifest(self, path: Path, drive: "SceneDrive", hits: "Counter[int]") -> None:
+        """Write the manifest beside what was written, with how many packets each fault has hit."""
         from lidarcfg.capture.manifest_writer import ManifestInputs
 
-        ManifestInputs.of(drive, path, self.inputs).save(path, warn)
+        ManifestInputs.of(drive, path, self.inputs).with_faults(drive, hits).save(path, warn)
 
 
 @dataclass
 class RayTally:
-    """The rays of an export so far."""
+    """The rays of an export so far, and the packets with faults."""
 
     traced: int = 0
     hits: int = 0
+    faulty: Counter[int] = field(default_factory=Counter)  # packets, by the fault that hit them
 
     def add(self, counts: "RayCounts") -> None:
         """Count those of a chunk."""
         self.traced += counts.rays
         self.hits += counts.hits
+
+    def add_fault(self, number: int, packets: int) -> None:
+        """Count packets that a fault has hit."""
+        self.faulty[number] += packets
 
     @property
     def fraction(self) -> float:
@@ -210,7 +223,7 @@ def _run(duration_ns: int, size: "Size", rays: RayTally, quiet: bool) -> "Iterat
             on_fraction(done_ns / duration_ns, said)
 
         on_fraction(0.0, f"simulating {duration_ns / SECOND_NS:g} s; {size(0.0)} in all")
-        yield SimulationOptions(on_progress, rays.add)
+        yield SimulationOptions(on_progress, rays.add, rays.add_fault)
 
 
 def _export_packets(options: ExportOptions, drive: "SceneDrive", rays: RayTally) -> list[str]:
@@ -258,10 +271,14 @@ def _export_packets(options: ExportOptions, drive: "SceneDrive", rays: RayTally)
             sidecars = save_sidecar_files(paths[0], mounts)
         records = beside.save() if beside else 0
         for path in paths:
-            options.save_manifest(path, drive)
+            options.save_manifest(path, drive, rays.faulty)
     duration = f"{drive.duration_ns / SECOND_NS:g} s"
     lines = [f"{path}: {count:,} packets, {duration}" for path, count in zip(paths, counts, strict=True)]
     lines += [f"{path}: readers of the capture need it, too" for path in sidecars]
+    lines += [
+        f"{fault.sensor}: {fault.fault} from {fault.start_s:g} to {fault.end_s:g} s, {rays.faulty[i]:,} packets"
+        for i, fault in enumerate(drive.rig.faults)
+    ]
     return lines + [f"{truth}: {records:,} returns"] * bool(truth)
 
 
@@ -277,6 +294,8 @@ def _export_points(options: ExportOptions, drive: "SceneDrive", rays: RayTally) 
 
     if options.split or options.truth:
         raise click.UsageError("--split and --truth are for a .pcap; points have their objects")
+    if drive.rig.faults:
+        raise click.UsageError("faults are of packets, for a .pcap; --faults none leaves them out")
     output = options.output
     form = formats.format_of("drive", output, options.name)
     if options.deskew and form.name not in formats.CLOUDS:
@@ -306,7 +325,7 @@ def _export_points(options: ExportOptions, drive: "SceneDrive", rays: RayTally) 
     with _run(drive.duration_ns, size, rays, options.quiet) as run:
         dataset = DriveDataset(drive, simulated_scans(drive, run))
         found = formats.save_dataset(output, form, dataset, options.deskew, warnings.append)
-        options.save_manifest(output, drive)
+        options.save_manifest(output, drive, rays.faulty)
     for text in [] if options.quiet else warnings:
         warn(text)
     return [f"{output}: {found}, {drive.duration_ns / SECOND_NS:g} s"]

@@ -21,6 +21,7 @@ KINDS = {  # module and model of each kind of file, loaded when they are needed
     "sensor": "lidarcfg.sensors.sensor:Sensor",
     "vehicle": "lidarcfg.world.vehicle:VehicleFile",
     "trajectory": "lidarcfg.world.motion:Motion",
+    "faults": "lidarcfg.sensors.faults:FaultsFile",
 }
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

@@ -7,7 +7,7 @@ import cloup
 
 from lidarcfg.cli.options import FILE
 
-KINDS = ("study", "rig", "scene", "sensor", "requirements", "scenario", "vehicle", "trajectory", "plan")
+KINDS = ("study", "rig", "scene", "sensor", "requirements", "scenario", "vehicle", "trajectory", "plan", "faults")
 
 
 @cloup.command(

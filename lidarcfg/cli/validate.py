@@ -22,8 +22,8 @@ from lidarcfg.errors import LidarcfgError, one_line
 def validate(files: tuple[Path, ...], quiet: bool) -> None:
     """Check files, and print what each is and what it would do.
 
-    Studies, requirements, scenarios, rigs, scenes, sensors, vehicles, trajectories and plans are told apart by their
-    keys. Anything that is allowed but looks wrong is a warning. Exits with 2 if a file has an error.
+    Studies, requirements, scenarios, rigs, scenes, sensors, vehicles, trajectories, plans and faults are told apart by
+    their keys. Anything that is allowed but looks wrong is a warning. Exits with 2 if a file has an error.
     """
     from lidarcfg.report.summaries import summary
 

@@ -38,8 +38,9 @@ def kind_of(values: object) -> str | None:
             return kind
     if "sensors" in values:
         return _sensors(values["sensors"])
-    if "requirements" in values:
-        return "requirements"
+    for kind in ("requirements", "faults"):  # a study, and a rig, may have them, too
+        if kind in values:
+            return kind
     if OBJECTS & values.keys():  # the objects of a scene must say what they reflect, and a scene its name
         return "scene" if "name" in values else "vehicle"
     return None

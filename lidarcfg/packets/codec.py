@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lidarcfg.config.models import Model, Section
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.condition import Condition
 from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
@@ -203,6 +204,14 @@ class Codec(Timing, Protocol):
     ) -> Iterator[Payloads]:
         """The other packets due so long after the start: position, state, calibration, inertial measurements."""
         return iter(())
+
+    def states(self, mount: Mount, start_ns: int, due_ns: range) -> Iterator[Payloads]:
+        """The packets due that say nothing but what is wrong with it; they are sent of sensors with faults only."""
+        return iter(())
+
+    def report(self, mount: Mount, payloads: Payloads, condition: Condition) -> Payloads:
+        """Packets of one kind, as they were encoded, with what the sensor says in them of what is wrong with it."""
+        return payloads
 
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The files that a reader needs beside the capture, by the suffixes of their names."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lidarcfg.capture.manifest import CaptureManifest, read_manifest
 from lidarcfg.config.kinds import DISCRIMINATING_KEYS, likely_kind_of
-from lidarcfg.config.models import load_keys
+from lidarcfg.config.models import load, load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.packets.families import codec
@@ -16,6 +16,7 @@ from lidarcfg.requirements.file import load_requirements
 from lidarcfg.requirements.scenarios.file import scenario_in
 from lidarcfg.search.combinations import combinations
 from lidarcfg.search.sweep_plan import load_plan
+from lidarcfg.sensors.faults import FaultsFile
 from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.solvers.solver import BUDGETS
@@ -40,7 +41,7 @@ def summary(path: str | Path) -> Summary:
     path = example(path)
     kind = "trajectory" if path.suffix == ".tum" else likely_kind_of(load_keys(path))
     if kind is None:
-        allowed = ", ".join(sorted({*DISCRIMINATING_KEYS, "requirements", "rig"}))
+        allowed = ", ".join(sorted({*DISCRIMINATING_KEYS, "requirements", "faults", "rig"}))
         raise ConfigError(f"{path}: is not one of lidarcfg's files; allowed: {allowed}")
     text, warnings = SUMMARIES[kind](path)
     return Summary(kind, text, tuple(warnings))
@@ -150,6 +151,13 @@ def _trajectory(path: Path) -> tuple[str, Iterable[str]]:
     return ("an arc" if found.motion.arc else "a constant velocity"), ()
 
 
+def _faults(path: Path) -> tuple[str, Iterable[str]]:
+    faults = load(path, FaultsFile).faults
+    counts = Counter(fault.fault for fault in faults)
+    sensors = ", ".join(dict.fromkeys(fault.sensor for fault in faults))
+    return f"{', '.join(f'{count} × {name}' for name, count in counts.items())}; of {sensors}", ()
+
+
 def _manifest(path: Path) -> tuple[str, Iterable[str]]:
     manifest = read_manifest(path)
     for key in ("rig", "scene", "trajectory", "vehicle"):
@@ -186,5 +194,6 @@ SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
     "sensor": _sensor,
     "vehicle": _vehicle,
     "trajectory": _trajectory,
+    "faults": _faults,
     CaptureManifest.kind: _manifest,
 }

@@ -34,6 +34,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.notebook import Shown
+from lidarcfg.sensors.faults import Fault, Faults, fault_errors
 from lidarcfg.sensors.realism import Realism, RealismOrName, resolved
 from lidarcfg.sensors.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
 from lidarcfg.units import MINUTE_NS
@@ -123,6 +124,7 @@ class RigFile(Model):
     name: Name
     sensors: Annotated[tuple[MountFile, ...], Field(min_length=1, max_length=SENSORS_MAX)]
     vehicle: dict[str, Any] | None = None  # the keys of world/vehicle.py's VehicleFile
+    faults: Faults = ()
 
     @model_validator(mode="after")
     def _check(self) -> "RigFile":
@@ -198,6 +200,7 @@ class Rig(Shown):
     name: str
     mounts: tuple[Mount, ...]
     vehicle: Section | None = None  # what they are mounted on, as world/vehicle.py reads it; None: not known
+    faults: tuple[Fault, ...] = ()  # in captures
 
     def __repr__(self) -> str:
         return f"<Rig {self.name}: {', '.join(f'{mount.name} ({mount.sensor.name})' for mount in self.mounts)}>"
@@ -209,7 +212,8 @@ class Rig(Shown):
         kept = tuple(mount for mount in self.mounts if mount.name not in names)
         if not kept:
             raise ConfigError(f"rig {self.name!r}: without {', '.join(names)} no sensor is left")
-        return replace(self, mounts=kept)
+        faults = tuple(fault for fault in self.faults if fault.sensor not in names)
+        return replace(self, mounts=kept, faults=faults)
 
     def moved(
         self, name: str, position_m: Sequence[float] | None = None, rpy_deg: Sequence[float] | None = None
@@ -223,6 +227,10 @@ class Rig(Shown):
             changes["rpy_rad"] = angles_rad(None, changes["rpy_rad"])
         mount = replace(self._mount(name), **changes)
         return replace(self, mounts=tuple(mount if one.name == name else one for one in self.mounts))
+
+    def faults_of(self, name: str) -> dict[int, Fault]:
+        """The faults of a sensor, by their numbers."""
+        return {number: fault for number, fault in enumerate(self.faults) if fault.sensor == name}
 
     def _mount(self, name: str) -> Mount:
         for mount in self.mounts:
@@ -286,10 +294,11 @@ def load_rig(given: Given) -> Rig:
             errors.append(error)
         else:
             mounts.append(mount)
+    errors += fault_errors(path, file.faults, [listed.name for listed in file.sensors])
     if errors:
         raise ConfigError.all_of(errors)
     vehicle = None if file.vehicle is None else Section(_whole(file.vehicle, path.parent), str(path), ("vehicle",))
-    return Rig(file.name, tuple(mounts), vehicle)
+    return Rig(file.name, tuple(mounts), vehicle, file.faults)
 
 
 def _mount(path: Path, index: int, given: MountFile, sensor: Sensor, model: str | None) -> Mount:
@@ -419,6 +428,8 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
     out: dict[str, object] = {"name": rig.name, "sensors": sensors}
     if rig.vehicle:
         out["vehicle"] = _with_files(rig.vehicle.values, lambda file: os.path.relpath(file, base) if base else file)
+    if rig.faults:
+        out["faults"] = [fault.model_dump(mode="json") for fault in rig.faults]
     return out
 
 

@@ -55,8 +55,13 @@ DARK = 2  # reflectivities below are of dark targets
 
 def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
     """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided."""
+    return drawn((realism.seed, 8 * sensor_index + stream), first, count)
+
+
+def drawn(key: tuple[int, int], first: int, count: int) -> Array:
+    """The same of any stream, which a seed and a number name."""
     before = first % 4  # Philox generates four at a time
-    philox = np.random.Philox(key=[realism.seed, 8 * sensor_index + stream], counter=[first // 4, 0, 0, 0])
+    philox = np.random.Philox(key=list(key), counter=[first // 4, 0, 0, 0])
     return np.random.Generator(philox).random(before + count)[before:] + 2.0**-54
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from lidarcfg.config.models import Given
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
+from lidarcfg.sensors.faults import GivenFaults, load_faults
 from lidarcfg.sensors.rig import ReturnMode, Rig, load_rig
 from lidarcfg.simulate.drive import trajectory_of
 from lidarcfg.units import SECOND_NS, START_NS
@@ -37,17 +38,21 @@ class SceneDrive:
         vehicle: Path | None = None,
         start_ns: int = START_NS,
         return_mode: ReturnMode | None = None,
+        faults: GivenFaults = None,
     ) -> "SceneDrive":
         """The drive of a rig in a scene, of files or of what is loaded from them.
 
         The vehicle starts at `at`, T_world_vehicle (4, 4), by default the origin, and moves as the file `trajectory`
         says; or `at` is its trajectory. It is that in the file `vehicle`, or the rig's, or none if that says `none`.
-        `return_mode` is for all sensors, instead of the rig's. Raises LidarcfgError.
+        `return_mode` is for all sensors, instead of the rig's, and so are `faults`: a file of them, a dict with its
+        keys, a list, or `none`. Raises LidarcfgError.
         """
         mounted = loaded(rig, load_rig, Rig)
         if return_mode:
             mounts = tuple(replace(mount, return_mode=return_mode) for mount in mounted.mounts)
             mounted = replace(mounted, mounts=mounts)
+        if faults is not None:
+            mounted = replace(mounted, faults=load_faults(faults, [mount.name for mount in mounted.mounts]))
         moving = trajectory_of(at, trajectory, start_ns)
         return cls(
             mounted,

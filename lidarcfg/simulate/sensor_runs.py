@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -18,6 +18,7 @@ from lidarcfg.sensors.pattern_timing import in_view
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.simulate.drive import FiredPackets, SensorTimeline, timelines
 from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.faults import SensorFaults
 from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.simulate.simulator import RayCounts, Simulator
 from lidarcfg.units import SECOND_NS, TIME_END_NS
@@ -30,6 +31,7 @@ CHUNK_RAYS = 196_608  # the same in rays
 AHEAD = 1  # chunks of a sensor that are traced while others are written
 
 OnRays = Callable[[RayCounts], None]
+OnFault = Callable[[int, int], None]  # the number of a fault in the rig, and how many more packets it has hit
 T = TypeVar("T")
 
 
@@ -39,6 +41,7 @@ class SimulationOptions:
 
     on_progress: Callable[[int], None] = lambda done_ns: None  # the simulated time so far, of the duration
     on_rays: OnRays = lambda counts: None  # the numbers of rays of each chunk
+    on_fault: OnFault = lambda number, packets: None  # for each chunk
     chunk_ns: int = CHUNK_NS  # traced at a time, at most
     threads: int | None = None  # none: as many as cores
 
@@ -50,6 +53,27 @@ class SensorRun(SensorTimeline):
     simulator: Simulator
     duration_ns: int
     chunk_ns: int
+    faults: SensorFaults
+    before_ns: int = 0  # since the sensor's start: it was unplugged since
+    first: int = 0  # the number of its first firing, by which random numbers are drawn
+
+    @property
+    def sessions(self) -> list["SensorRun"]:
+        """The same from each time that it is plugged in, to when it is unplugged."""
+        period_ns = self.timing.pace(self.mount).period_ns
+        found: list[SensorRun] = []
+        for begin_ns, end_ns in self.faults.plugged(self.start_ns):
+            before_ns = begin_ns - self.start_ns
+            session = replace(
+                self,
+                start_ns=begin_ns,
+                duration_ns=min(end_ns - begin_ns, self.duration_ns - before_ns),
+                faults=self.faults.restarted(begin_ns, len(found)) if found else self.faults,
+                before_ns=before_ns,
+                first=before_ns // period_ns * self.timing.pace(self.mount).firings,
+            )
+            found.append(session)
+        return found
 
 
 def sensor_runs(drive: SceneDrive, chunk_ns: int) -> list[SensorRun]:
@@ -74,6 +98,13 @@ def sensor_runs(drive: SceneDrive, chunk_ns: int) -> list[SensorRun]:
             simulator=Simulator(sensor.index, sensor.mount, tracer, trajectory, bodies),
             duration_ns=drive.duration_ns,
             chunk_ns=chunk_ns,
+            faults=SensorFaults.of(
+                sensor.mount,
+                drive.rig.faults_of(sensor.mount.name),
+                sensor.timing,
+                start_ns,
+                sensor.start_ns + drive.duration_ns,
+            ),
         )
         for sensor in sensors
     ]
@@ -181,10 +212,12 @@ def map_chunks(run: SensorRun, runner: ChunkRunner, make: Callable[[FiringBatch,
     packets = max(min(run.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * simulator.width)), 1)
 
     def work(fired: FiredPackets) -> tuple[T, RayCounts] | None:
-        if not len(fired.batch.sent_ns):
+        batch = run.faults.fired(fired.batch)
+        if not len(batch.sent_ns):
             return None
-        found, counts = simulator.echoes(fired.batch.firings, fired.first)
-        return make(fired.batch, found), counts
+        first = run.first + fired.first
+        found, counts = simulator.echoes(batch.firings, first)
+        return make(batch, run.faults.seen(found, batch, first)), counts
 
     with runner.threads.pool() as pool:
         jobs = (pool.submit(work, fired) for fired in run.fired(spans(total, packets)))
@@ -195,4 +228,4 @@ def map_chunks(run: SensorRun, runner: ChunkRunner, make: Callable[[FiringBatch,
                 del chunk  # it would stay in memory while others are waited for
                 yield made.pop()
             done_ns = number * packets * pace.period_ns
-            runner.progress.set(run.index, done_ns if number * packets < total else run.duration_ns)
+            runner.progress.set(run.index, run.before_ns + (done_ns if number * packets < total else run.duration_ns))

@@ -194,7 +194,7 @@ def test_files_are_summed_up(tmp_path):
     (tmp_path / "body.yaml").write_text("boxes: [{name: body, size_m: [4, 2, 1]}]\n")
     done = lidarcfg("validate", tmp_path / "odd.yaml", tmp_path / "arc.yaml", tmp_path / "body.yaml", code=2)
     assert re.search(
-        r"odd.yaml: is not one of lidarcfg's files; allowed: capture manifest, plan, requirements, rig, scenario, scene, sensor, study, ",
+        r"odd.yaml: is not one of lidarcfg's files; allowed: capture manifest, faults, plan, requirements, rig, scenario, scene, sensor, study, ",
         done.stderr,
     )
     assert re.search(r"arc.yaml: trajectory: an arc\n.*body.yaml: vehicle: a vehicle of 1 body with 12", done.stdout)

@@ -1,8 +1,8 @@
 """Hesai's packets.
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
-`telemetry` the files of angles, `encode` and `decode` the returns, `emulator` PTC. `Hesai` is the codec that the rest
-of the package uses.
+`telemetry` the files of angles, `encode` and `decode` the returns, `report` what it says of itself, `emulator` PTC.
+`Hesai` is the codec that the rest of the package uses.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,8 +14,9 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
+from lidarcfg.packets.condition import Condition
 from lidarcfg.packets.emulator import NetworkSite
-from lidarcfg.packets.hesai import decode, encode, telemetry
+from lidarcfg.packets.hesai import decode, encode, report, telemetry
 from lidarcfg.packets.hesai.emulator import HesaiEmulator
 from lidarcfg.packets.hesai.layout import bytes_of, device_time_ns
 from lidarcfg.packets.hesai.model import HesaiFacts, HesaiSettings, HesaiUnit, batches, turning, unit, unit_of
@@ -85,6 +86,9 @@ class Hesai(Codec):
         if mount.dual:
             kinds[encode.holds_one(self.unit, range_m, reflectivity)] = RETURN_TYPES["strongest"]
         return kinds
+
+    def report(self, mount: Mount, payloads: Payloads, condition: Condition) -> Payloads:
+        return replace(payloads, data=report.report(unit_of(self.unit, mount), payloads.data, condition))
 
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The angle correction file; of protocol 1.4 the firing times, too."""

@@ -1,11 +1,12 @@
 """Livox's packets.
 
-To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
-`encode` and `decode` the points, `telemetry` the inertial measurements, `commands` what drivers ask a sensor and
-`emulator` what it answers. `Livox` is the codec that the rest of the package uses.
+To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire, `encode`
+and `decode` the points, `telemetry` the inertial measurements, `report` what it says of itself, `commands` what drivers
+ask a sensor and `emulator` what it answers. `Livox` is the codec that the rest of the package uses.
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +14,9 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.condition import Condition
 from lidarcfg.packets.emulator import Emulator, NetworkSite
-from lidarcfg.packets.livox import decode, encode, telemetry
+from lidarcfg.packets.livox import decode, encode, report, telemetry
 from lidarcfg.packets.livox.emulator import LivoxEmulator
 from lidarcfg.packets.livox.layout import bytes_of, headers_of, is_points, packet_of
 from lidarcfg.packets.livox.model import DATA_TYPES, LivoxFacts, LivoxSettings, LivoxUnit, batches, settings, unit
@@ -84,6 +86,14 @@ class Livox(PatternTiming, Codec):
         imu = self.unit.facts.imu
         if imu and settings(mount).imu:
             yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, due_ns)
+
+    def report(self, mount: Mount, payloads: Payloads, condition: Condition) -> Payloads:
+        if payloads.port in (mount.data_port, mount.telemetry_port):
+            return replace(payloads, data=report.report(payloads.data, condition))
+        return replace(payloads, data=report.report_states(payloads.data, mount.clock or "ptp", condition))
+
+    def states(self, mount: Mount, start_ns: int, due_ns: range) -> Iterator[Payloads]:
+        return report.states(self.unit, mount.clock or "ptp", start_ns, due_ns)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

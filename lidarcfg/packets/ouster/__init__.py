@@ -1,12 +1,13 @@
 """Ouster's packets.
 
 To read in this order: `layout` has the bytes, `model` what they depend on and when columns are measured, `telemetry`
-the metadata and the inertial measurements, `encode` and `decode` the returns, `emulator` the HTTP interface. `Ouster`
-is the codec that the rest of the package uses.
+the metadata and the inertial measurements, `encode` and `decode` the returns, `report` what it says of itself,
+`emulator` the HTTP interface. `Ouster` is the codec that the rest of the package uses.
 """
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +15,9 @@ import numpy as np
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.condition import Condition
 from lidarcfg.packets.emulator import NetworkSite
-from lidarcfg.packets.ouster import decode, encode, telemetry
+from lidarcfg.packets.ouster import decode, encode, report, telemetry
 from lidarcfg.packets.ouster.emulator import OusterEmulator
 from lidarcfg.packets.ouster.model import Mode, OusterFacts, OusterSettings, OusterUnit, batches, mode, unit
 from lidarcfg.packets.point_fields import OUSTER
@@ -75,6 +77,13 @@ class Ouster(Codec):
             legacy = mode.settings.imu_profile == "LEGACY"
             payloads = telemetry.legacy_imu_payloads if legacy else telemetry.framed_imu_payloads
             yield from payloads(self.unit, mode, mount, trajectory, start_ns, due_ns)
+
+    def report(self, mount: Mount, payloads: Payloads, condition: Condition) -> Payloads:
+        """Inertial packets say nothing."""
+        mode = self._mode(mount)
+        if payloads.port != mount.data_port or payloads.data.shape[1] != mode.layout.size:
+            return payloads
+        return replace(payloads, data=report.report(mode, payloads.data, condition))
 
     def sidecar_files(self, mount: Mount) -> Mapping[str, bytes]:
         """The metadata."""

@@ -1,11 +1,12 @@
 """RoboSense's packets.
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
-`telemetry` what a sensor reports about itself, `encode` and `decode` the returns. `Robosense` is the codec that the
-rest of the package uses.
+`telemetry` what a sensor reports about itself, `report` of what is wrong, `encode` and `decode` the returns.
+`Robosense` is the codec that the rest of the package uses.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +14,9 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
+from lidarcfg.packets.condition import Condition
 from lidarcfg.packets.point_fields import STAMPED
-from lidarcfg.packets.robosense import decode, encode, telemetry
+from lidarcfg.packets.robosense import decode, encode, report, telemetry
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, bytes_of, series_of
 from lidarcfg.packets.robosense.model import RobosenseFacts, RobosenseSettings, RobosenseUnit, unit
 from lidarcfg.sensors.firing import FiringBatch, ranked
@@ -86,6 +88,16 @@ class Robosense(SequenceTiming, Codec):
         imu = self.unit.facts.imu
         if imu and mount.settings.checked(RobosenseSettings).imu:
             yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, due_ns)
+
+    def report(self, mount: Mount, payloads: Payloads, condition: Condition) -> Payloads:
+        """Inertial packets say nothing."""
+        if payloads.port == mount.data_port:
+            data = report.report_msop(self.unit.series, payloads.data, condition)
+        elif payloads.port == mount.telemetry_port:
+            data = report.report_difop(self.unit.series, payloads.data, condition)
+        else:
+            return payloads
+        return replace(payloads, data=data)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

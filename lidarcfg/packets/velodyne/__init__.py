@@ -6,6 +6,7 @@ of the package uses.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +14,9 @@ import numpy as np
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
+from lidarcfg.packets.condition import Condition
 from lidarcfg.packets.velodyne import decode, encode, telemetry
-from lidarcfg.packets.velodyne.layout import PACKET, bytes_of, packets_of
+from lidarcfg.packets.velodyne.layout import PACKET, POSITION, PPS_STATES, bytes_of, packets_of
 from lidarcfg.packets.velodyne.model import Status, VelodyneFacts, VelodyneSettings, VelodyneUnit, settings_of, unit
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
 from lidarcfg.sensors.firing import FiringBatch, ranked
@@ -73,6 +75,14 @@ class Velodyne(SequenceTiming, Codec):
         self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         return telemetry.position_payloads(self.unit, mount, trajectory, origin, start_ns, due_ns)
+
+    def report(self, mount: Mount, payloads: Payloads, condition: Condition) -> Payloads:
+        """Of all that may be wrong, position packets say that the pulse of the clock's source is absent."""
+        if payloads.data.shape[1] != POSITION.itemsize:
+            return payloads
+        data = payloads.data.copy()
+        data.view(POSITION)["pps"][:, 0][~condition.synchronised] = PPS_STATES.index("absent")
+        return replace(payloads, data=data)
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
