@@ -8,12 +8,13 @@ sends; a capture cannot follow other settings, which are answered with an error,
 import socket
 import struct
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from lidarcfg.packets.codec import PacketSource
 from lidarcfg.packets.emulator import Answer, Emulator, NetworkSite, RequestError, Service, Target
 from lidarcfg.packets.hesai.model import HesaiUnit
 from lidarcfg.packets.hesai.telemetry import FIRING_TIMES, SUFFIX, correction_lines, find_corrections
+from lidarcfg.packets.sensor_unit import SensorUnit
 
 PORT = 9347
 START = b"\x47\x74"  # of a frame of PTC 1.0
@@ -33,7 +34,7 @@ class InventoryEntry(NamedTuple):
     """What an inventory says about a model."""
 
     number: int
-    before: int  # bytes of angle offsets before it
+    before: int  # bytes of an AT128's FPGA and of angle offsets before it
     after: int  # bytes after the number of lines: a part number, or reserved
 
 
@@ -43,6 +44,8 @@ PRODUCTS = {
     "xt32m2x": InventoryEntry(38, 2, 11),
     "qt128": InventoryEntry(32, 4, 33),
     "ot128": InventoryEntry(42, 2, 53),
+    "at128e2x": InventoryEntry(48, 66, 11),
+    "at128e3x": InventoryEntry(48, 66, 11),
 }
 INVENTORY = struct.Struct(">18s16s6s16s16s16s16s")  # serial number, date, MAC, versions of software, hardware, firmware
 
@@ -50,14 +53,16 @@ INVENTORY = struct.Struct(">18s16s6s16s16s16s16s")  # serial number, date, MAC, 
 class HesaiEmulator(Emulator):
     """A Hesai's PTC."""
 
-    def __init__(self, unit: HesaiUnit, source: PacketSource, site: NetworkSite) -> None:
+    def __init__(
+        self, unit: SensorUnit[Any], source: PacketSource, site: NetworkSite, angles: bytes, firing_times: bytes
+    ) -> None:
         self.name = unit.name
         self.services: Sequence[Service] = (Service("PTC", "tcp", PORT, self._answer, request_size),)
         self._unit = unit
         self._site = site
         self._port = source.port
-        self._corrections = _corrections(unit, source)
-        self._firing_times = _firing_times(unit, source)
+        self._corrections = angles
+        self._firing_times = firing_times
         self._target: Target | None = None  # of the lidar's datagrams, once a driver has said it
         self._standby = False
 
@@ -118,7 +123,7 @@ def _unknown(command: int, why: str = "") -> Answer:
     return _frame(command, UNSUPPORTED, b"", f"asks for PTC command 0x{command:02X}, which is not emulated{why}")
 
 
-def _corrections(unit: HesaiUnit, source: PacketSource) -> bytes:
+def corrections(unit: HesaiUnit, source: PacketSource) -> bytes:
     """The angle correction file beside the capture, or one of the model's angles. Raises PacketError."""
     beams = find_corrections(source, unit.count)
     if beams is None:
@@ -128,7 +133,7 @@ def _corrections(unit: HesaiUnit, source: PacketSource) -> bytes:
     return source.sidecar_files(SUFFIX)[beams.source]
 
 
-def _firing_times(unit: HesaiUnit, source: PacketSource) -> bytes:
+def firing_times(unit: HesaiUnit, source: PacketSource) -> bytes:
     """The firing time file beside the capture, or one of the model's times, in the form of Hesai's; empty: none."""
     files = source.sidecar_files(FIRING_TIMES)
     own = [content for name, content in files.items() if name.endswith(f"-{source.host}-{source.port}{FIRING_TIMES}")]
