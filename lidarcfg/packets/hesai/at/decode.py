@@ -38,15 +38,16 @@ class HesaiAtDecoder(Decoder):
         self.period_ns = unit.pace(dual=False).period_ns
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
-        return device_time_ns(self._packets(packets))
+        """When their first column starts, as stamps come after it."""
+        return device_time_ns(self._packets(packets)) + int(self._unit.starts_ns(dual=False)[0])
 
     def heading_rad(self, packets: Bytes) -> Array:
-        """(P,) how far the facet has turned lasers; 0 where the mirror points nowhere; a swing back is below 0."""
+        """(P,) how far a frame has gone on: what its facet has turned lasers; 0 where the mirror points nowhere."""
         found = self._packets(packets)
         angle = mirror_angles(found)[:, 0]
         facet = facets(self._angles, found)[:, 0]
-        swept_rad = np.radians(self._angles.swept_deg(angle, facet)) * self._angles.way(facet)
-        return np.where(facet == NOWHERE, 0.0, swept_rad)
+        swept_rad = np.radians(self._angles.swept_deg(angle, facet)) % (2 * math.pi)
+        return np.select([facet == NOWHERE, self._angles.way(facet) < 0], [0.0, -swept_rad % math.pi], swept_rad)
 
     def check(self, packets: Bytes) -> None:
         for wrong, value, describe in self._mistakes(packets):
