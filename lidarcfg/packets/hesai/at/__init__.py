@@ -11,15 +11,15 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
 from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.hesai.at import decode, encode, telemetry
 from lidarcfg.packets.hesai.at.model import HesaiAtFacts, HesaiAtUnit, batches, unit
-from lidarcfg.packets.hesai.emulator import HesaiEmulator
+from lidarcfg.packets.hesai.emulator import EmulatedHesai, HesaiEmulator
 from lidarcfg.packets.hesai.encode import holds_one, sent
 from lidarcfg.packets.hesai.layout import bytes_of
 from lidarcfg.packets.hesai.model import held
-from lidarcfg.packets.point_fields import STAMPED
+from lidarcfg.packets.point_fields import HESAI
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, ranked
 from lidarcfg.sensors.pattern_timing import PatternTiming, in_view
 from lidarcfg.sensors.rig import SINGLE, Mount
@@ -31,7 +31,7 @@ __all__ = ["HesaiAt", "HesaiAtFacts", "HesaiAtUnit", "unit"]
 class HesaiAt(PatternTiming, Codec):
     """The packets of one sensor of the AT series, whose clock is taken as set by PTP."""
 
-    point_fields = STAMPED
+    point_fields = HESAI
     scans = True
     facts_model = HesaiAtFacts
 
@@ -40,6 +40,7 @@ class HesaiAt(PatternTiming, Codec):
 
     def check(self, mount: Mount) -> None:
         assert self.unit.unit_mm
+        check_clock(mount, "ptp")
         pairs = [pair.mode for pair in self.unit.facts.packet.pairs]
         if mount.dual and mount.return_mode not in pairs:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
@@ -99,8 +100,20 @@ class HesaiAt(PatternTiming, Codec):
 
     def emulator(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> HesaiEmulator:
         """Answers PTC commands."""
-        angles = telemetry.find_angles(source, self.unit.count) or self.unit.angles
-        return HesaiEmulator(self.unit, source, site, angles.content, telemetry.firing_times(self.unit))
+        unit = self.unit
+        angles = telemetry.find_angles(source, unit.count) or unit.angles
+        found = unit.packets_of(packets, int(decode.usual_header(packets)["flags"]))
+        of = EmulatedHesai(
+            name=unit.name,
+            lasers=unit.count,
+            mac_prefix=unit.facts.headers.mac_prefix,
+            protocol=unit.facts.packet.protocol,
+            angles=angles.content,
+            firing_times=telemetry.firing_times(unit),
+            rpm=round(unit.mirror.rpm),
+            return_mode=int(np.median(found["tail"]["return_mode"])),
+        )
+        return HesaiEmulator(of, source.port, site)
 
     def firing_ns(self) -> Times:
         """(L,) in a column of the first facet."""

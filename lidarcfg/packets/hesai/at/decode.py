@@ -1,8 +1,9 @@
 """Decodes packets into points: which model sends them, what they hold, how many are lost."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,9 @@ class HesaiAtDecoder(Decoder):
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         return decode(self._unit, self._angles, self._packets(packets), wanted, False, self._driver_view)
+
+    def driver_columns(self, packets: Bytes, wanted: Flags) -> Mapping[str, NDArray[Any]]:
+        return {"channel": decode(self._unit, self._angles, self._packets(packets), wanted, polar=False).laser}
 
     def _packets(self, data: Bytes) -> Packets:
         return self._unit.packets_of(data, self._flags)
