@@ -20,7 +20,7 @@ from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory
 
 START_NS = 1_700_000_000 * 10**9
-HESAI = "pandar-xt32", "pandar-xt16", "xt32m2x", "qt128", "ot128", "jt128", "pandar128"
+HESAI = "pandar-xt32", "pandar-xt16", "xt32m2x", "qt128", "ot128", "jt128", "pandar128", "at128e2x", "atx"
 ROBOSENSE = "helios-16p", "helios-32", "airy", "fairy", "fairy-96"
 OUSTER = {  # profile and return mode
     "RNG19_RFL8_SIG16_NIR16": "strongest",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -99,10 +99,12 @@ def data_bytes(drive: SceneDrive) -> int:
     for mount in drive.rig.mounts:
         maker = codec(mount.sensor)
         everywhere = replace(mount, azimuth_fov_deg=None)
-        batch = next(iter(maker.schedule(everywhere, drive.start_ns, [range(1)])))
+        pace = maker.pace(mount)
+        one_by_one = (range(n, n + 1) for n in count())
+        batch = next(some for some in maker.schedule(everywhere, drive.start_ns, one_by_one) if len(some.number))
         shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
         packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
-        packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
+        packets = drive.duration_ns // pace.period_ns * fired_fraction(mount) * pace.share
         total += packets * sum(map(len, mount_frames(mount, packet).records))
     return round(total)
 

@@ -182,6 +182,55 @@ class HesaiFields:
     def turn(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
+class HesaiAtMirror:
+    """Where a mirror points lasers, and when they fire."""
+
+    def __init__(
+        self,
+        azimuth_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, None))],
+        elevation_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, None))],
+        offset_ns: Annotated[NDArray[numpy.int64], dict(shape=(None, None))],
+    ) -> None: ...
+    @property
+    def azimuth_rad(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]: ...
+    @property
+    def elevation_rad(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]: ...
+    @property
+    def offset_ns(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None))]: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
+class HesaiAtFields:
+    """What such packets say beside their returns."""
+
+    def __init__(
+        self,
+        unit_mm: Annotated[NDArray[numpy.uint8], dict(shape=(None,))],
+        start_ns: Annotated[NDArray[numpy.int64], dict(shape=(None, None))],
+        swept_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, None))],
+        row: Annotated[NDArray[numpy.float64], dict(shape=(None, None))],
+        dual: Annotated[NDArray[numpy.bool_], dict(shape=(None,))],
+        near: Annotated[NDArray[numpy.uint8], dict(shape=(None,))],
+        far: Annotated[NDArray[numpy.uint8], dict(shape=(None,))],
+        turn: Annotated[NDArray[numpy.float64], dict(shape=(None, None))],
+    ) -> None: ...
+    @property
+    def unit_mm(self) -> Annotated[NDArray[numpy.uint8], dict(shape=(None,))]: ...
+    @property
+    def start_ns(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None, None))]: ...
+    @property
+    def swept_rad(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]: ...
+    @property
+    def row(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]: ...
+    @property
+    def dual(self) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]: ...
+    @property
+    def near(self) -> Annotated[NDArray[numpy.uint8], dict(shape=(None,))]: ...
+    @property
+    def far(self) -> Annotated[NDArray[numpy.uint8], dict(shape=(None,))]: ...
+    @property
+    def turn(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
 def crc32_mpeg2(
     packets: Annotated[NDArray[numpy.uint8], dict(shape=(None, None))], first: int, end: int
 ) -> Annotated[NDArray[numpy.uint32], dict(shape=(None,))]:
@@ -428,6 +477,7 @@ def write_hesai_returns(
     limits: Sequence[float] | Annotated[NDArray[numpy.float64], dict(shape=(4))],
     lasers: int,
     return_bytes: int,
+    azimuth_bytes: int,
     packets: Annotated[NDArray[numpy.uint8], dict(shape=(None, None))],
 ) -> None:
     """
@@ -435,6 +485,30 @@ def write_hesai_returns(
 
     Those are of laser (P, G F), if the group of blocks is inside (P, G).
     """
+
+class HesaiAtDecoder:
+    """Decodes packets (P, size) of one sensor with a mirror."""
+
+    def __init__(self, mirror: HesaiAtMirror, blocks: int) -> None:
+        """Copies the tables."""
+
+    def count(
+        self,
+        packets: Annotated[NDArray[numpy.uint8], dict(shape=(None, None))],
+        wanted: Annotated[NDArray[numpy.bool_], dict(shape=(None,))],
+    ) -> int:
+        """How many returns the packets that are wanted (P,) hold at most."""
+
+    def decode(
+        self,
+        packets: Annotated[NDArray[numpy.uint8], dict(shape=(None, None))],
+        wanted: Annotated[NDArray[numpy.bool_], dict(shape=(None,))],
+        fields: HesaiAtFields,
+        out: Returns,
+    ) -> int:
+        """
+        Fill in an entry for each return of the packets that are wanted (P,); returns how many.
+        """
 
 class OusterLayout:
     """Where columns and pixels are in a packet, in bytes."""

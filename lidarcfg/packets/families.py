@@ -17,6 +17,7 @@ from lidarcfg.sensors.sensor import Sensor
 FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne:Velodyne",
     "hesai": "lidarcfg.packets.hesai:Hesai",
+    "hesai_at": "lidarcfg.packets.hesai.at:HesaiAt",
     "robosense": "lidarcfg.packets.robosense:Robosense",
     "emx": "lidarcfg.packets.emx:Emx",
     "livox": "lidarcfg.packets.livox:Livox",

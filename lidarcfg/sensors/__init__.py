@@ -2,8 +2,8 @@
 
 To read in this order: `sensor` is a model with its beams, `realism` its noise and dropouts, `faults` what goes wrong
 with it for a while, `rig` the mounts on a vehicle, `firing` when and where lasers fire, `schedule` the firing sequences
-of a sensor on its own clock. For a sensor that does not turn, `scan_pattern` has the firings and `pattern_timing` their
-times.
+of a sensor on its own clock. For a sensor that does not turn, `scan_pattern` has the firings, `mirror` those over a
+mirror, and `pattern_timing` their times.
 """
 
 import lazy_loader

@@ -91,6 +91,7 @@ class PacketPace:
 
     period_ns: int  # from one packet to the next
     firings: int  # in a packet
+    share: float = 1.0  # of the time in which packets are sent
 
 
 class CycleBeams(NamedTuple):

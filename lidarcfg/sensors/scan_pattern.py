@@ -4,7 +4,9 @@ The table is a CSV with a header or an .npz, with a column each of `COLUMNS`: wh
 start, where it points, and which channel fires. It holds one frame, or many, which frames walk through; then it
 starts again.
 
-An .npz may be packed instead: channels fire in turn at `rate_hz`; rows of `azimuth_steps` and `elevation_steps`, one a
+A sensor with a mirror has the file of its angles instead, from which `mirror` tells the firings.
+
+An .npz may be packed: channels fire in turn at `rate_hz`; rows of `azimuth_steps` and `elevation_steps`, one a
 channel, hold by how many hundredths of a degree each firing differs from the channel's last one, the first from 0.
 """
 
@@ -15,12 +17,13 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from lidarcfg.config.models import FileName, Model
+from lidarcfg.config.models import FileName, Model, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.inputs import read_regular
+from lidarcfg.sensors.mirror import UNITS, Mirror, MirrorAngles, mirror_columns, parse_mirror_angles
 from lidarcfg.units import MILLISECOND_NS, SECOND_NS
 
 COLUMNS = {  # of the table, and the limits of their values
@@ -35,6 +38,8 @@ HUNDREDTHS = 36000  # of a degree, all around
 GAP_DEG = 10.0  # without firings, from which on a pattern is not all around
 ROWS_MAX = 10_000_000
 CSV_MAX = 1 << 30  # bytes
+ANGLES_MAX = 1 << 20  # bytes of a mirror's angles
+AHEAD_RAD = np.pi / 2  # a mirror's azimuths begin at the y axis
 
 
 class PatternFile(Model):
@@ -43,6 +48,15 @@ class PatternFile(Model):
     source: str = ""
     file: FileName
     frame_ms: Annotated[float, Field(ge=0.1, le=10_000)]
+    mirror: Mirror | None = None  # whose angles the file has
+
+    @model_validator(mode="after")
+    def _check(self) -> "PatternFile":
+        is_angles = Path(self.file).suffix.lower() == ".dat"
+        if is_angles != bool(self.mirror):
+            what = "missing; a .dat has a mirror's angles" if is_angles else "needs a .dat, which has its angles"
+            raise validation_error(what, "mirror")
+        return self
 
     @property
     def frame_ns(self) -> int:
@@ -59,6 +73,7 @@ class ScanPattern:
     azimuth_rad: Array  # (F,) clockwise from the x axis
     elevation_rad: Array  # (F,)
     channel: Bytes  # (F,)
+    angles: MirrorAngles | None = None  # of the mirror that points so
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ScanPattern):
@@ -103,8 +118,13 @@ class ScanPattern:
         return np.asarray(periods * self.period_ns + self.time_ns[rows]), rows
 
 
-def load_scan_pattern(path: Path, frame_ns: int) -> ScanPattern:
+def load_scan_pattern(path: Path, frame_ns: int, mirror: Mirror | None = None) -> ScanPattern:
     """The pattern in a file. Raises LidarcfgError: no such file, of another kind, or a row that is not allowed."""
+    if mirror:
+        try:
+            return mirror_pattern(mirror, parse_mirror_angles(str(path), read_regular(path, ANGLES_MAX)), frame_ns)
+        except OSError as error:
+            raise ConfigError.from_os(path, error) from None
     readers = {".csv": _read_csv, ".npz": _read_npz}
     if path.suffix.lower() not in readers:
         raise ConfigError(f"{path}: is no scan pattern; allowed: {', '.join(readers)}")
@@ -120,6 +140,40 @@ def load_scan_pattern(path: Path, frame_ns: int) -> ScanPattern:
         azimuth_rad=np.radians(columns["azimuth_deg"], dtype=np.float64),
         elevation_rad=np.radians(columns["elevation_deg"], dtype=np.float64),
         channel=columns["channel"].astype(np.uint8),
+    )
+
+
+def mirror_pattern(mirror: Mirror, angles: MirrorAngles, frame_ns: int) -> ScanPattern:
+    """The firings until a mirror is where it was, a frame for each facet. Raises ConfigError for another's angles."""
+    facets = len(angles.start)
+    if len(mirror.offset_ns) not in (1, facets) or len(mirror.offset_ns[0]) != angles.lasers:
+        what = f"is not one for all facets, or {facets}, of {angles.lasers} lasers, which the angles are of"
+        raise ConfigError(f"mirror.offset_ns: {what}")
+    columns = mirror_columns(mirror, angles)
+    frames_ns = frame_ns * facets
+    if abs(mirror.columns * mirror.column_ns - frames_ns) > 1:
+        what = f"{mirror.rpm:g} rpm are no {facets} frames of {frame_ns / MILLISECOND_NS:g} ms"
+        raise ConfigError(f"mirror.rpm: {what}")
+    if (
+        not (angles.facet(columns.angle, columns.facet) == columns.facet).all()
+        or (
+            (columns.time_ns + mirror.column_ns).reshape(facets, -1).max(axis=1) > np.arange(1, facets + 1) * frame_ns
+        ).any()
+    ):
+        raise ConfigError("mirror.columns_per_facet: some columns are beyond their facet")
+    offset_ns = np.resize(mirror.offset_ns, (facets, angles.lasers))[columns.facet]
+    azimuth_deg, elevation_deg = angles.pointing_deg(columns.angle, columns.facet)
+    if mirror.turns_while_firing:
+        turn = angles.gain * mirror.step / UNITS / mirror.column_ns
+        azimuth_deg += turn * angles.way(columns.facet)[:, None] * offset_ns
+    order = np.argsort(offset_ns, axis=1, kind="stable")
+    return ScanPattern(
+        frame_ns=frame_ns,
+        time_ns=(columns.time_ns[:, None] + np.take_along_axis(offset_ns, order, axis=1)).ravel(),
+        azimuth_rad=np.radians(np.take_along_axis(azimuth_deg, order, axis=1)).ravel() - AHEAD_RAD,
+        elevation_rad=np.radians(np.take_along_axis(elevation_deg, order, axis=1)).ravel(),
+        channel=order.astype(np.uint8).ravel(),
+        angles=angles,
     )
 
 

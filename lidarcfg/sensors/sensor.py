@@ -369,7 +369,8 @@ def _load(path: Path, own: bool = False) -> Sensor:
     sensor._file = File(str(path))
     if sensor.scan_pattern:
         with errors_at(path, "scan_pattern", "file"):
-            sensor._pattern = load_scan_pattern(path.parent / sensor.scan_pattern.file, sensor.scan_pattern.frame_ns)
+            table = sensor.scan_pattern
+            sensor._pattern = load_scan_pattern(path.parent / table.file, table.frame_ns, table.mirror)
         if sensor.azimuth_fov_deg is None:
             sensor = sensor.model_copy(update={"azimuth_fov_deg": sensor._pattern.azimuth_fov_deg})
     return sensor

@@ -120,7 +120,8 @@ def fired_fraction(mount: Mount) -> float:
 
 def most_returns_per_ns(mount: Mount, pace: PacketPace) -> float:
     """The rate of a mount's returns if each ray returns."""
-    return pace.firings * fired_fraction(mount) * len(RETURN_TYPES[mount.return_mode]) / pace.period_ns
+    fired = pace.firings * fired_fraction(mount) * pace.share
+    return fired * len(RETURN_TYPES[mount.return_mode]) / pace.period_ns
 
 
 def check_duration(mount: Mount, timing: Timing, duration_ns: int) -> None:

@@ -207,6 +207,7 @@ def test_hesais_pair():
         (0.5, 100.0, 0.004, 65535.0),
         2,
         4,
+        2,
         data,
     )
     out = returns(4)

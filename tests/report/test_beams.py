@@ -26,7 +26,10 @@ def drawn(name):
 TURNING = [name for name, path in catalogue().items() if "beams" in yaml.safe_load(path.read_text())]
 
 
-@pytest.mark.parametrize("name", sorted(catalogue().keys() - set(TURNING)))
+MIRRORS = [name for name, path in catalogue().items() if path.with_suffix(".dat").exists()]
+
+
+@pytest.mark.parametrize("name", sorted(catalogue().keys() - {*TURNING, *MIRRORS}))
 def test_scan_patterns_of_the_catalogue(name):
     """The directions of one frame, as its table has them, and when it points where."""
     file = yaml.safe_load(catalogue()[name].read_text())["scan_pattern"]
@@ -45,6 +48,21 @@ def test_scan_patterns_of_the_catalogue(name):
     np.testing.assert_allclose(shown[:, 1], elevation_deg, atol=1e-4)
     assert len(whole.collections[0].get_offsets()) >= len(shown)
     np.testing.assert_allclose(by_time.lines[0].get_xdata(), time_ms, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "firings", "last_ms"),
+    [("at128e2x", 1250 * 128, 1249 / 24 + 0.014928), ("atx", 1280 * 100, 1279 / 15 + 0.05916)],
+)
+def test_frames_over_a_mirror(name, firings, last_ms):
+    """By hand: columns times lasers; 24 columns a millisecond of an AT128, 15 of an ATX; the fields of view."""
+    one, whole, by_time = draw_sensor(load_sensor(name)).axes
+    shown = one.collections[0].get_offsets()
+    assert len(shown) == firings
+    assert len(whole.collections[0].get_offsets()) >= len(shown)
+    assert np.abs(shown[:, 0]).max() == pytest.approx(65, abs=5)
+    time_ms = by_time.lines[0].get_xdata()
+    assert (time_ms[0], time_ms[-1]) == pytest.approx((0, last_ms), abs=1e-3)
 
 
 @pytest.mark.parametrize("name", TURNING)

@@ -7,6 +7,7 @@
 #include "packets/crc.h"
 #include "packets/firings.h"
 #include "packets/hesai.h"
+#include "packets/hesai_at.h"
 #include "packets/robosense.h"
 #include "packets/velodyne.h"
 
@@ -64,6 +65,22 @@ struct Fields<packets::hesai::PacketFields> {
   static constexpr auto members =
       fields(field("unit_mm", &T::unit_mm), field("start_ns", &T::start_ns), field("loop", &T::loop),
              field("dual", &T::dual), field("near", &T::near), field("far", &T::far), field("turn", &T::turn));
+};
+
+template <>
+struct Fields<packets::hesai_at::Mirror> {
+  using T = packets::hesai_at::Mirror;
+  static constexpr auto members = fields(field("azimuth_rad", &T::azimuth_rad),
+                                         field("elevation_rad", &T::elevation_rad), field("offset_ns", &T::offset_ns));
+};
+
+template <>
+struct Fields<packets::hesai_at::PacketFields> {
+  using T = packets::hesai_at::PacketFields;
+  static constexpr auto members =
+      fields(field("unit_mm", &T::unit_mm), field("start_ns", &T::start_ns), field("swept_rad", &T::swept_rad),
+             field("row", &T::row), field("dual", &T::dual), field("near", &T::near), field("far", &T::far),
+             field("turn", &T::turn));
 };
 
 namespace {
@@ -247,6 +264,7 @@ void check_hesai_layout(const packets::hesai::Layout& layout) {
   require(0 < layout.lasers && layout.lasers <= lasers_max, "lasers: allowed: 1 to 256");
   require(0 < layout.blocks && layout.blocks <= 256, "blocks: allowed: 1 to 256");
   require(3 <= layout.return_bytes && layout.return_bytes <= 6, "return_bytes: allowed: 3 to 6");
+  require(2 <= layout.azimuth_bytes && layout.azimuth_bytes <= 3, "azimuth_bytes: allowed: 2, 3");
 }
 
 void bind_hesai(nb::module_& module) {
@@ -292,10 +310,10 @@ void bind_hesai(nb::module_& module) {
       module, "write_hesai_returns",
       [](Tables<const double> range_m, Tables<const std::uint8_t> reflectivity, Bytes laser,
          View<const std::int64_t> column, Rows<const bool> inside, std::array<double, 4> limits, Index lasers,
-         Index return_bytes, Rows<std::uint8_t> packets) {
+         Index return_bytes, Index azimuth_bytes, Rows<std::uint8_t> packets) {
         const Index count = packets.rows();
         const Index groups = inside.columns();
-        const packets::hesai::Layout layout{lasers, std::ssize(column), return_bytes};
+        const packets::hesai::Layout layout{lasers, std::ssize(column), return_bytes, azimuth_bytes};
         check_hesai_layout(layout);
         require(packets.columns() >= layout.end(), "packets: too short for the blocks");
         require(inside.rows() == count && groups > 0 && layout.blocks % groups == 0,
@@ -310,7 +328,54 @@ void bind_hesai(nb::module_& module) {
       R"(Write into packets (P, size): block b holds column[b] of range_m and reflectivity (P, G F, R).
 
 Those are of laser (P, G F), if the group of blocks is inside (P, G).)",
-      "range_m", "reflectivity", "laser", "column", "inside", "limits", "lasers", "return_bytes", "packets");
+      "range_m", "reflectivity", "laser", "column", "inside", "limits", "lasers", "return_bytes", "azimuth_bytes",
+      "packets");
+}
+
+void bind_hesai_at(nb::module_& module) {
+  using packets::hesai_at::Decoder;
+  nb::class_<Decoder> type(module, "HesaiAtDecoder", "Decodes packets (P, size) of one sensor with a mirror.");
+  init(
+      type,
+      [](const packets::hesai_at::Mirror& mirror, Index blocks) {
+        using M = packets::hesai_at::Mirror;
+        const Index lasers = mirror.azimuth_rad.columns();
+        check_hesai_layout({lasers, blocks, 4, 3});
+        require(blocks % 2 == 0, "blocks: an even number");
+        require(mirror.azimuth_rad.rows() > 0, "mirror.azimuth_rad: at least one row");
+        require_columns(mirror, "mirror", "one for each of azimuth_rad", std::tuple(&M::elevation_rad, &M::offset_ns),
+                        mirror.azimuth_rad.rows(), lasers);
+        return Decoder(mirror, blocks);
+      },
+      "Copies the tables.", "mirror", "blocks");
+  def(
+      type, "count",
+      [](const Decoder& self, Bytes packets, View<const bool> wanted) {
+        require(packets.columns() >= self.layout().end(), "packets: too short for the blocks");
+        check_wanted(wanted, packets.rows());
+        return self.count(packets, wanted);
+      },
+      "How many returns the packets that are wanted (P,) hold at most.", "packets", "wanted");
+  def(
+      type, "decode",
+      [](const Decoder& self, Bytes packets, View<const bool> wanted, const packets::hesai_at::PacketFields& fields,
+         const packets::Returns& out) {
+        using F = packets::hesai_at::PacketFields;
+        const Index count = packets.rows();
+        require(packets.columns() >= self.layout().end(), "packets: too short for the blocks");
+        check_wanted(wanted, count);
+        require_columns(fields, "fields", "one for each packet", std::tuple(&F::unit_mm, &F::dual, &F::near, &F::far),
+                        count);
+        require_columns(fields, "fields", "one for each block of each packet",
+                        std::tuple(&F::start_ns, &F::swept_rad, &F::row, &F::turn), count, self.layout().blocks);
+        const auto rows = flat(fields.row);
+        require(std::ranges::all_of(rows, [&](double row) { return !(row < 0) && !(row > self.rows() - 1); }),
+                "fields.row: within the mirror's rows, or NaN");
+        check_returns(out);
+        return self.decode(packets, wanted, fields, out);
+      },
+      "Fill in an entry for each return of the packets that are wanted (P,); returns how many.", "packets", "wanted",
+      "fields", "out");
 }
 
 }  // namespace
@@ -324,6 +389,8 @@ void bind_packets(nb::module_& module) {
                               "The lasers of a sensor whose distances near by have offsets of their own.");
   record<packets::hesai::Lasers>(module, "HesaiLasers", "The lasers of a Hesai sensor, and when they fire.");
   record<packets::hesai::PacketFields>(module, "HesaiFields", "What Hesai packets say beside their blocks.");
+  record<packets::hesai_at::Mirror>(module, "HesaiAtMirror", "Where a mirror points lasers, and when they fire.");
+  record<packets::hesai_at::PacketFields>(module, "HesaiAtFields", "What such packets say beside their returns.");
   def(
       module, "crc32_mpeg2",
       [](Bytes packets, Index first, Index end) {
@@ -351,6 +418,7 @@ void bind_packets(nb::module_& module) {
   bind_blocks<packets::Airy>(module, "AiryDecoder", "write_airy_returns");
   bind_blocks<packets::Fairy>(module, "FairyDecoder", "write_fairy_returns");
   bind_hesai(module);
+  bind_hesai_at(module);
   bind_packets_ouster(module);
   def(
       module, "fire",

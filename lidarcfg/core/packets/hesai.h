@@ -15,9 +15,10 @@ namespace lidarcfg::packets::hesai {
 struct Layout {
   Index lasers;
   Index blocks;
-  Index return_bytes;  // 3 to 6
+  Index return_bytes;       // 3 to 6
+  Index azimuth_bytes = 2;  // 3 in the AT series
 
-  Index block_bytes() const { return 2 + return_bytes * lasers; }
+  Index block_bytes() const { return azimuth_bytes + return_bytes * lasers; }
   /// What a packet has at least: returns are read four bytes at a time.
   Index end() const { return header_bytes + blocks * block_bytes() + (return_bytes < 4); }
 
@@ -27,7 +28,7 @@ struct Layout {
   }
   template <class Byte>
   Byte* returns(View<Byte> packet, Index block) const {
-    return azimuth(packet, block) + 2;
+    return azimuth(packet, block) + azimuth_bytes;
   }
 
   static constexpr Index header_bytes = 12;

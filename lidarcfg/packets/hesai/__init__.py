@@ -2,7 +2,7 @@
 
 To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
 `telemetry` the files of angles, `encode` and `decode` the returns, `report` what it says of itself, `emulator` PTC.
-`Hesai` is the codec that the rest of the package uses.
+`Hesai` is the codec that the rest of the package uses. `at` has the AT series, whose lasers point over a mirror.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, P
 from lidarcfg.packets.condition import Condition
 from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.hesai import decode, encode, report, telemetry
-from lidarcfg.packets.hesai.emulator import HesaiEmulator
+from lidarcfg.packets.hesai.emulator import HesaiEmulator, emulated
 from lidarcfg.packets.hesai.layout import bytes_of, device_time_ns
 from lidarcfg.packets.hesai.model import HesaiFacts, HesaiSettings, HesaiUnit, batches, turning, unit, unit_of
 from lidarcfg.packets.inertial import measured
@@ -76,7 +76,8 @@ class Hesai(Codec):
         return encode.fired_ns(unit_of(self.unit, mount), batch, range_m)
 
     def sent(self, mount: Mount, batch: FiringBatch, payloads: Payloads) -> Flags:
-        return encode.sent(self.unit, self.unit.packets_of(payloads.data), mount.return_mode, batch.firings.laser)
+        packets = self.unit.packets_of(payloads.data)
+        return encode.sent(packets, self.unit.columns(mount.return_mode), batch.firings.laser)
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
         """A single return is the strongest."""
@@ -84,7 +85,7 @@ class Hesai(Codec):
         if mount.dual and mount.return_mode != "two-strongest":
             kinds = ranked(kinds, self.unit.range.holds_both(range_m), reflectivity)
         if mount.dual:
-            kinds[encode.holds_one(self.unit, range_m, reflectivity)] = RETURN_TYPES["strongest"]
+            kinds[encode.holds_one(self.unit.range, range_m, reflectivity)] = RETURN_TYPES["strongest"]
         return kinds
 
     def report(self, mount: Mount, payloads: Payloads, condition: Condition) -> Payloads:
@@ -122,7 +123,7 @@ class Hesai(Codec):
     def emulator(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> HesaiEmulator:
         """Answers PTC commands."""
         unit = decode.as_sent(source.where, self.unit, packets)
-        return HesaiEmulator(unit, source, unit.packets_of(packets), site)
+        return HesaiEmulator(emulated(unit, source, unit.packets_of(packets)), source.port, site)
 
     def firing_ns(self) -> Times:
         """(L,) in the first loop; for a laser that rests there, in the next in which it does not."""

@@ -31,7 +31,7 @@ from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
 from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST
 from lidarcfg.units import MINUTE_NS
 
-PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
+PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (6, 1)}  # that Hesai's SDK knows of heads that turn
 LASERS = {16, 32, 40, 64, 128}
 OLDER = {  # first bytes, of models whose packets have no protocol, and sizes: with and without a sequence number
     "Pandar40P": (b"\xff\xee", (1262, 1266)),

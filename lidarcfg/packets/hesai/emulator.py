@@ -10,6 +10,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -94,7 +95,7 @@ class InventoryEntry(NamedTuple):
     """What an inventory says about a model."""
 
     number: int
-    before: int  # bytes of angle offsets before it
+    before: int  # bytes of an AT128's FPGA and of angle offsets before it
     after: int  # bytes after the number of lines: a part number, or reserved
 
 
@@ -105,27 +106,55 @@ PRODUCTS = {
     "qt128": InventoryEntry(32, 4, 33),
     "ot128": InventoryEntry(42, 2, 53),
     "pandar128": InventoryEntry(3, 2, 11),
+    "at128e2x": InventoryEntry(48, 66, 11),
+    "at128e3x": InventoryEntry(48, 66, 11),
 }
 INVENTORY = struct.Struct(">18s16s6s16s16s16s16s")  # serial number, date, MAC, versions of software, hardware, firmware
+
+
+@dataclass(frozen=True)
+class EmulatedHesai:
+    """What a sensor and its packets say of what drivers ask for."""
+
+    name: str
+    lasers: int
+    mac_prefix: str
+    protocol: str
+    angles: bytes
+    firing_times: bytes  # empty: none
+    rpm: int
+    return_mode: int  # as packets have it
+    high_resolution: bool = False
+
+
+def emulated(unit: HesaiUnit, source: PacketSource, packets: Packets) -> EmulatedHesai:
+    """What a sensor that sends these packets (P,) says. Raises PacketError."""
+    return EmulatedHesai(
+        name=unit.name,
+        lasers=unit.count,
+        mac_prefix=unit.facts.headers.mac_prefix,
+        protocol=unit.facts.packet.protocol,
+        angles=_corrections(unit, source),
+        firing_times=_firing_times(unit, source),
+        rpm=round(float(np.median(packets["tail"]["rpm"])) * unit.facts.packet.speed_unit_rpm),
+        return_mode=int(np.median(packets["tail"]["return_mode"])),
+        high_resolution=_is_high(unit, packets),
+    )
 
 
 class HesaiEmulator(Emulator):
     """A Hesai's PTC."""
 
-    def __init__(self, unit: HesaiUnit, source: PacketSource, packets: Packets, site: NetworkSite) -> None:
-        self.name = unit.name
+    def __init__(self, of: "EmulatedHesai", port: int, site: NetworkSite) -> None:
+        self.name = of.name
         self.services: Sequence[Service] = (Service("PTC", "tcp", PORT, self._answer, request_size),)
-        self._unit = unit
+        self._of = of
         self._site = site
-        self._port = source.port
+        self._port = port
         self._address = socket.inet_aton(site.address)
-        self._corrections = _corrections(unit, source)
-        self._firing_times = _firing_times(unit, source)
-        self._rpm = round(float(np.median(packets["tail"]["rpm"])) * unit.facts.packet.speed_unit_rpm)
-        self._return_mode = RETURN_MODES.get(int(np.median(packets["tail"]["return_mode"])), 0)
-        self._high_resolution = _is_high(unit, packets)
+        self._return_mode = RETURN_MODES.get(of.return_mode, 0)
         self._began_s = time.monotonic()
-        self._ptp = AUTOMOTIVE if unit.facts.packet.protocol == "1.4" else IEEE_1588
+        self._ptp = AUTOMOTIVE if of.protocol == "1.4" else IEEE_1588
         self._ptp_lock = PTP_LOCK_US
         self._target: Target | None = None  # of the lidar's datagrams, once a driver has said it
         self._standby = False
@@ -140,15 +169,15 @@ class HesaiEmulator(Emulator):
         command = request[2]
         payload = request[HEADER.size :]
         readers: dict[int, Callable[[], bytes]] = {
-            GET_CORRECTIONS: lambda: self._corrections,
-            GET_FIRING_TIMES: lambda: self._firing_times,
+            GET_CORRECTIONS: lambda: self._of.angles,
+            GET_FIRING_TIMES: lambda: self._of.firing_times,
             GET_INVENTORY: self._inventory,
             GET_CONFIG: self._config,
             GET_STATUS: self._status,
             GET_RANGE: lambda: struct.pack(">BHH", 0, 0, ALL_AROUND),
             GET_PTP: lambda: self._ptp,
             GET_PTP_LOCK: lambda: self._ptp_lock,
-            GET_RESOLUTION: lambda: bytes([self._high_resolution]),
+            GET_RESOLUTION: lambda: bytes([self._of.high_resolution]),
         }
         if command in readers:
             found = readers[command]()
@@ -182,17 +211,17 @@ class HesaiEmulator(Emulator):
     def _as_captured(self, command: int) -> Sequence[bytes]:
         """What a command may set because it is so anyway."""
         return {
-            SET_SPEED: [struct.pack(">H", self._rpm)],
+            SET_SPEED: [struct.pack(">H", self._of.rpm)],
             SET_RETURN_MODE: [bytes([self._return_mode])],
             SET_SYNC_ANGLE: [struct.pack(">BH", on, 0) for on in (0, 1)],
             SET_CLOCK: [bytes([CLOCK_PTP])],
             SET_RANGE: [struct.pack(">BHH", 0, 0, ALL_AROUND)],
-            SET_RESOLUTION: [bytes([self._high_resolution])],
+            SET_RESOLUTION: [bytes([self._of.high_resolution])],
         }.get(command, [])
 
     @property
     def _mac(self) -> bytes:
-        return bytes.fromhex(self._unit.facts.headers.mac_prefix.replace(":", "")) + self._address[1:]
+        return bytes.fromhex(self._of.mac_prefix.replace(":", "")) + self._address[1:]
 
     def _inventory(self) -> bytes:
         """The inventory; empty for models whose inventory no source documents."""
@@ -200,20 +229,22 @@ class HesaiEmulator(Emulator):
         if product is None:
             return b""
         base = INVENTORY.pack(b"", b"", self._mac, b"", b"", b"", b"")
-        model = bytes([product.number, 0, self._unit.count])
+        model = bytes([product.number, 0, self._of.lasers])
         return base + bytes(product.before) + model + bytes(product.after)
 
     def _config(self) -> bytes:
         host, port = self._target or self._site.target(self._port)
         addresses = self._address, MASK, self._address[:3] + b"\1", socket.inet_aton(host)
-        speed_and_range = self._rpm, 0, 0, 0, ALL_AROUND
+        speed_and_range = self._of.rpm, 0, 0, 0, ALL_AROUND
         modes = CLOCK_PTP, 1, 0, self._return_mode, self._standby, 0
         return CONFIG.pack(*addresses, port, GPS_PORT, *speed_and_range, *modes, 0, 0)
 
     def _status(self) -> bytes:
-        temperatures = 9 if self._unit.facts.packet.protocol == "3.2" else 8
+        if self._of.protocol.startswith("4"):
+            return b""  # an AT128's is another
+        temperatures = 9 if self._of.protocol == "3.2" else 8
         since_s = int(time.monotonic() - self._began_s)
-        return STATUS.pack(since_s, self._rpm) + bytes(4 * temperatures) + STATES.pack(0, 0, 1, 0, LOCKED)
+        return STATUS.pack(since_s, self._of.rpm) + bytes(4 * temperatures) + STATES.pack(0, 0, 1, 0, LOCKED)
 
     def _diagnostics(self, query: bytes) -> bytes:
         """What PTP says of itself: locked to a clock without offset; empty for a query that is none."""

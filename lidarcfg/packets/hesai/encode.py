@@ -5,6 +5,7 @@ import numpy as np
 from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.hesai.layout import (
+    AZIMUTH_BYTES,
     DISTANCE_MAX,
     FACTORY,
     FIRST_LAST,
@@ -23,6 +24,7 @@ from lidarcfg.packets.hesai.layout import (
 from lidarcfg.packets.hesai.model import HesaiUnit, head_rad, within
 from lidarcfg.sensors.firing import FiringBatch
 from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.sensor import Range
 from lidarcfg.units import SECOND_NS
 
 COLUMNS = ("time_ns", "laser", "encoder_rad")
@@ -62,6 +64,7 @@ def encode(unit: HesaiUnit, mount: Mount, batch: FiringBatch, range_m: Array, re
         limits,
         unit.count,
         return_bytes(unit.dtype),
+        AZIMUTH_BYTES,
         bytes_of(packets),
     )
     first = laser[:, -1, 0]
@@ -96,11 +99,13 @@ def write_inertial(packets: Packets, acceleration_g: Array, rate_deg_s: Array) -
     _write_tail_checksum(packets)
 
 
-def sent(unit: HesaiUnit, packets: Packets, return_mode: str, laser: Bytes) -> Flags:
-    """(N, 1) or (N, 2) of firings of `laser` (N,): which are returns in the packets; of two alike, the first."""
+def sent(packets: Packets, pair: tuple[int, ...], laser: Bytes) -> Flags:
+    """(N, 1) or (N, 2) of firings of `laser` (N,): which are returns in the packets; of two alike, the first.
+
+    `pair` says which return each of the blocks of a firing holds.
+    """
     returns = packets["blocks"]["returns"]
-    pair = unit.columns(return_mode)
-    at = laser.reshape(len(packets), unit.groups(len(pair) == 2), -1).astype(np.int64)
+    at = laser.reshape(len(packets), returns.shape[1] // len(pair), -1).astype(np.int64)
     distance, reflectivity = (
         np.stack(
             [
@@ -117,11 +122,12 @@ def sent(unit: HesaiUnit, packets: Packets, return_mode: str, laser: Bytes) -> F
     return found
 
 
-def holds_one(unit: HesaiUnit, range_m: Array, reflectivity: Bytes) -> Flags:
+def holds_one(limits: Range, range_m: Array, reflectivity: Bytes) -> Flags:
     """(N,): which pairs of ranges (N, 2) hold a single return, once or twice."""
-    least_m, most_m = unit.range.reported_m
+    assert limits.resolution_m
+    least_m, most_m = limits.reported_m
     inside = (range_m >= least_m) & (range_m <= most_m)
-    units = np.rint(np.where(inside, range_m, 0) / unit.range.resolution_m)
+    units = np.rint(np.where(inside, range_m, 0) / limits.resolution_m)
     same = (units[:, 0] == units[:, 1]) & (reflectivity[:, 0] == reflectivity[:, 1])
     return np.asarray(same | ~inside.all(axis=1))
 

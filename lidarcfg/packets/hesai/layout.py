@@ -82,6 +82,7 @@ DUAL_MODES = (DUAL, FIRST_AND_LAST, FIRST_AND_STRONGEST, TWO_STRONGEST)
 REVOLUTION = 36000  # azimuth is in hundredths of a degree
 RADIANS = math.pi / 18000
 QUARTER = REVOLUTION // 4  # azimuth 0 is the y axis, and encoder angles begin at the x axis
+AZIMUTH_BYTES = 2  # of a block
 DISTANCE_MAX = 65535  # units; 0 is no return
 BASE_YEAR = 1900
 

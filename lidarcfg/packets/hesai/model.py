@@ -96,6 +96,12 @@ class Pair(Model):
         return self
 
 
+def held(pairs: tuple[Pair, ...], return_mode: str) -> tuple[int, ...]:
+    """The index of the return in each of the blocks that share an azimuth."""
+    blocks = {pair.mode: pair.blocks for pair in pairs if pair.mode == return_mode}
+    return tuple(COLUMNS[mode].index(which) for mode, both in blocks.items() for which in both) or (0,)
+
+
 class HesaiPacketFacts(Model):
     """The facts of the data packet."""
 
@@ -197,8 +203,7 @@ class HesaiUnit(SensorUnit[HesaiFacts]):
 
     def columns(self, return_mode: str) -> tuple[int, ...]:
         """The index of the return in each of the blocks that share an azimuth."""
-        pairs = {pair.mode: pair.blocks for pair in self.facts.packet.pairs if pair.mode == return_mode}
-        return tuple(COLUMNS[mode].index(which) for mode, blocks in pairs.items() for which in blocks) or (0,)
+        return held(self.facts.packet.pairs, return_mode)
 
     def groups(self, dual: bool) -> int:
         """The number of times that all lasers fire in a packet."""

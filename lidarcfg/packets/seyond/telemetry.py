@@ -1,10 +1,10 @@
 """The table of a Robin W's angles: packets of their own, without which its points have no directions."""
 
 from collections.abc import Iterator
-from itertools import chain
 
 import numpy as np
 
+from lidarcfg.geometry import Bytes
 from lidarcfg.packets.codec import PacketSource, Payloads
 from lidarcfg.packets.seyond.encode import write_header
 from lidarcfg.packets.seyond.layout import MAGIC, PACKET_BITS, TABLE, TABLE_PACKET, Packets, bytes_of, crcs
@@ -39,15 +39,29 @@ def table_payloads(unit: SeyondUnit, mount: Mount, start_ns: int, due_ns: range)
     yield Payloads(sent_ns, data, mount.telemetry_port, headers, headers.table, first)
 
 
+class TableSearch:
+    """Looks for the first sound table among packets."""
+
+    def __init__(self) -> None:
+        self.angles: Packets | None = None  # (FACETS, TURNS, SETS, 8)
+
+    def add(self, packets: Bytes) -> None:
+        """Packets of a table's size."""
+        tables = np.ascontiguousarray(packets).view(TABLE_PACKET)[:, 0]
+        header = tables["header"]
+        known = (header["magic"] == MAGIC) & (PACKET_BITS["type"].of(header) == TABLE)
+        sound = np.flatnonzero(known & (crcs(packets) == header["crc"]))
+        if self.angles is None and len(sound):
+            self.angles = np.array(tables["table"]["angles"][sound[0]])
+
+
 def find_table(source: PacketSource) -> Packets | None:
     """(FACETS, TURNS, SETS, 8) the first sound table that the source's host sends, or that is in a file beside it."""
-    files = source.sidecar_files(SUFFIX).values()
-    beside = (np.frombuffer(one, np.uint8)[None] for one in files if len(one) == TABLE_PACKET.itemsize)
-    for data in chain(source.payloads(None, TABLE_PACKET.itemsize), beside):
-        packets = np.ascontiguousarray(data).view(TABLE_PACKET)[:, 0]
-        header = packets["header"]
-        known = (header["magic"] == MAGIC) & (PACKET_BITS["type"].of(header) == TABLE)
-        sound = np.flatnonzero(known & (crcs(data) == header["crc"]))
-        if len(sound):
-            return np.array(packets["table"]["angles"][sound[0]])
-    return None
+    for found in source.search(TableSearch, TABLE_PACKET.itemsize):
+        if found.angles is not None:
+            return found.angles
+    beside = TableSearch()
+    for one in source.sidecar_files(SUFFIX).values():
+        if len(one) == TABLE_PACKET.itemsize:
+            beside.add(np.frombuffer(one, np.uint8)[None])
+    return beside.angles
