@@ -16,6 +16,7 @@ from .study.loading import load_study as load_study
 from .study.study import Study as Study
 from .vsr.region import Region as Region
 from .vsr.subspaces import Subspaces as Subspaces
+from .world.motion import Trajectory as Trajectory
 from .world.scene import Scene as Scene
 from .world.scene import load_scene as load_scene
 

@@ -13,7 +13,7 @@ from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.hesai.layout import FLAGS, HIGH_RESOLUTION, MODEL, SEQUENCE, STANDARD, Packets, Protocol, packet
 from lidarcfg.packets.sensor_unit import SensorUnit
-from lidarcfg.sensors.firing import FiringBatch, Firings
+from lidarcfg.sensors.firing import SKIPPED, FiringBatch, Firings, spans
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import revolutions
 from lidarcfg.sensors.sensor import Byte, Sensor
@@ -287,9 +287,11 @@ def batches(unit: HesaiUnit, mount: Mount, start_ns: int, spans: Iterable[range]
     Packet 0's lasers start to fire `stamp_ns` after `start_ns`, or at it if their stamp is later. With an azimuth field
     of view, packets are sent in which some firing lies within it.
     """
-    sent = 0
+    sent: int | None = None
     longest_ns = int(unit.offset_ns.max())
     for numbers in spans:
+        if sent is None:
+            sent, _ = sent_before(unit, mount, start_ns, numbers.start)
         fired, loop, stamp_ns, inside = _firings(unit, mount, start_ns, numbers)
         ends_ns = stamp_ns + max(unit.facts.firing.stamp_ns + longest_ns, 0)
         if mount.azimuth_fov_deg is not None:
@@ -302,23 +304,48 @@ def batches(unit: HesaiUnit, mount: Mount, start_ns: int, spans: Iterable[range]
         sent += len(ends_ns)
 
 
+def sent_before(unit: HesaiUnit, mount: Mount, start_ns: int, packet: int) -> tuple[int, Times]:
+    """How many packets are sent before the one with a number, and how many of their groups are of each loop."""
+    loops = len(unit.lasers)
+    per_packet = unit.groups(mount.dual)
+    if mount.azimuth_fov_deg is None:
+        turns = packet if mount.dual else packet * per_packet
+        counts = (turns + loops - 1 - np.arange(loops)) // loops
+        return packet, np.asarray(counts * per_packet if mount.dual else counts)
+    sent = 0
+    groups = np.zeros(loops, np.int64)
+    for numbers in spans(packet, SKIPPED):
+        encoder_rad, loop = _heads(unit, mount, start_ns, numbers)
+        some = within(mount, encoder_rad).any(axis=1)
+        sent += int(np.count_nonzero(some))
+        groups += np.bincount(loop[some].ravel(), minlength=loops)
+    return sent, groups
+
+
+def _heads(unit: HesaiUnit, mount: Mount, start_ns: int, numbers: range) -> tuple[Array, Times]:
+    """Where the head is at the start of each group of packets (P, G), and which loop each is of."""
+    begun = revolutions(mount.rpm, unit.period_ns(mount.dual), start_ns, numbers, mount.phase_deg)
+    turn = begun[:, None] + _starts_ns(unit, mount) * (mount.rpm / MINUTE_NS)
+    number = np.array(numbers, np.int64)[:, None]
+    group = np.arange(unit.groups(mount.dual))
+    loop = (number + 0 * group if mount.dual else number * len(group) + group) % len(unit.lasers)
+    return (turn - np.floor(turn)) * (2 * np.pi), loop
+
+
+def _starts_ns(unit: HesaiUnit, mount: Mount) -> Times:
+    """(G,) when the groups of a packet start."""
+    after_ns = max(unit.facts.firing.stamp_ns, 0)  # nothing fires before the start
+    return np.asarray(after_ns + np.arange(unit.groups(mount.dual)) * unit.facts.firing.period_ns)
+
+
 def _firings(unit: HesaiUnit, mount: Mount, start_ns: int, numbers: range) -> tuple[Firings, Times, Times, Flags]:
     """Of the packets with these numbers: firings, which loop groups (P, G) are of, stamps (P,), and what is in view.
 
     All lasers of a group fire where the head is at its start, as the group's azimuth says.
     """
-    dual = mount.dual
-    groups = unit.groups(dual)
-    period_ns = unit.period_ns(dual)
-    first_ns = start_ns + np.array(numbers, np.int64) * period_ns
-    after_ns = max(unit.facts.firing.stamp_ns, 0)  # nothing fires before the start
-    starts_ns = after_ns + np.arange(groups) * unit.facts.firing.period_ns
-    begun = revolutions(mount.rpm, period_ns, start_ns, numbers, mount.phase_deg)
-    turn = begun[:, None] + starts_ns * (mount.rpm / MINUTE_NS)
-    encoder_rad = (turn - np.floor(turn)) * (2 * np.pi)
-    number = np.array(numbers, np.int64)[:, None]
-    group = np.arange(groups)
-    loop = (number + 0 * group if dual else number * groups + group) % len(unit.lasers)
+    first_ns = start_ns + np.array(numbers, np.int64) * unit.period_ns(mount.dual)
+    starts_ns = _starts_ns(unit, mount)
+    encoder_rad, loop = _heads(unit, mount, start_ns, numbers)
     lasers = unit.lasers
     offset_ns = np.take_along_axis(unit.offset_ns, lasers, axis=1)
     fired = Firings(
