@@ -203,8 +203,12 @@ class Drive:
         if not len(poses_s):
             return 0.0, math.inf
         first_s, last_s = (poses_s[[0, -1]] + (self.trajectory.zero_ns - self.start_ns) / SECOND_NS).tolist()
-        late_s = (max(sensor.start_ns for sensor in self.sensors) - self.start_ns) / SECOND_NS
-        return first_s, last_s - max(late_s - EDGE_S, 0)
+        return first_s, last_s - max(self.late_ns / SECOND_NS - EDGE_S, 0)
+
+    @property
+    def late_ns(self) -> int:
+        """How long after the first the last sensor starts."""
+        return max(sensor.start_ns for sensor in self.sensors) - self.start_ns
 
     def firings(
         self,

@@ -8,6 +8,7 @@ import numpy as np
 import open3d
 import pytest
 from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.export import in_time_order, simulated_packets
@@ -131,6 +132,84 @@ def test_the_capture_has_what_decoding_needs_beside_it(tmp_path):
     order, same = (np.lexsort((one.ring, one.time_ns, one.sensor)) for one in (drawn, decoded))
     assert np.abs(drawn.xyz[order] - xyz[same]).max() < 0.01
     assert (drawn.intensity[order] == decoded.intensity[same]).all()
+
+
+def turning(seconds) -> np.ndarray:
+    """Poses (K, 4, 4) of a vehicle that speeds up, turns and pitches."""
+    T = np.tile(np.eye(4), (len(seconds), 1, 1))
+    T[:, :3, :3] = Rotation.from_euler("zy", np.column_stack([seconds**2, 0.1 * np.sin(3 * seconds)])).as_matrix()
+    T[:, :3, 3] = np.column_stack([2 * seconds**2, np.sin(seconds), 0.3 + 0 * seconds])
+    return T
+
+
+def beyond(at_s, seconds, T):
+    """The pose (4, 4) of a vehicle that moves on as from the first of two poses to the second."""
+    part = (at_s - seconds[0]) / (seconds[1] - seconds[0])
+    out = np.eye(4)
+    out[:3, 3] = T[0, :3, 3] + part * (T[1, :3, 3] - T[0, :3, 3])
+    first, second = Rotation.from_matrix(T[:, :3, :3])
+    out[:3, :3] = (first * Rotation.from_rotvec(part * (first.inv() * second).as_rotvec())).as_matrix()
+    return out
+
+
+@pytest.mark.parametrize(("start_s", "end_s"), [(0.0, 0.3), (1.3, 2.1)])
+def test_poses_of_a_simulator_are_those_of_the_manifest_and_of_all_other_packets(tmp_path, start_s, end_s):
+    """Beside a drive that knows all poses from the start, with those at the ends as between the two next to them."""
+    rig = rig_of("vlp-16", "airy", "mid-360")
+    drive = Drive(rig)
+    step_s = 0.02
+    batches = list(drive.firings(start_s, end_s, step_s, frame="vehicle"))
+    middles_s = np.array([(rays.start_s + rays.end_s) / 2 for rays in batches])
+    T = turning(middles_s)
+    with Writer(drive, tmp_path / "a.pcap") as writer:
+        for rays, pose in zip(batches, T, strict=True):
+            writer.write(rays, np.full(len(rays), 5.0), 40, pose)
+    motion = load_manifest(tmp_path / "a.pcap").motion()
+    for at_s, pose in zip(middles_s, T, strict=True):
+        np.testing.assert_allclose(motion.pose(START_NS + round(at_s * SECOND_NS)), pose, rtol=0, atol=1e-6)
+
+    ends_s = max(start_s - 1, 0), end_s + drive.late_ns / SECOND_NS
+    ends = beyond(ends_s[0], middles_s[:2], T[:2]), beyond(ends_s[1], middles_s[-2:], T[-2:])
+    times_s = np.array([ends_s[0], *middles_s, ends_s[1]])
+    known = Drive(rig, Trajectory.from_poses(times_s, np.array([ends[0], *T, ends[1]])))
+    with Writer(known, tmp_path / "b.pcap") as writer:
+        for rays in known.firings(start_s, end_s, step_s):
+            writer.write(rays, np.full(len(rays), 5.0), 40)
+    ours, theirs = (list(read_datagrams(tmp_path / name, no_warning)) for name in ("a.pcap", "b.pcap"))
+    assert ours == theirs
+    with Writer(drive, tmp_path / "c.pcap") as writer:
+        for rays in batches:
+            writer.write(rays, np.full(len(rays), 5.0), 40)
+    standing = [one.payload for one in read_datagrams(tmp_path / "c.pcap", no_warning)]
+    assert 50 < sum(one.payload != other for one, other in zip(ours, standing, strict=True)) < len(ours) / 2
+
+
+def test_one_pose_is_where_the_vehicle_stands(tmp_path):
+    drive = Drive(rig_of("mid-360"))
+    pose = turning(np.array([0.7]))[0]
+    with Writer(drive, tmp_path / "a.pcap") as writer:
+        for rays in drive.firings(0, 0.1, frame="vehicle"):
+            writer.write(rays, np.full(len(rays), 5.0), 40, pose.astype(np.float32))
+    np.testing.assert_allclose(load_manifest(tmp_path / "a.pcap").motion().pose(START_NS), pose, rtol=0, atol=1e-6)
+
+
+def test_poses_that_cannot_be_are_said(tmp_path):
+    rig = rig_of("vlp-16")
+
+    def wrong(message, drive, frame, poses):
+        with refused(message), Writer(drive, tmp_path / "a.pcap") as writer:
+            for rays, pose in zip(drive.firings(0, 0.02, 0.01, frame), poses, strict=True):
+                writer.write(rays, np.ones(len(rays)), 1, pose)
+
+    still = Drive(rig)
+    wrong(
+        "pose is none; allowed: T_world_vehicle (4, 4), a rotation and a shift", still, "vehicle", [2 * np.eye(4)] * 2
+    )
+    wrong("pose is given for rays in the world; allowed: for ", still, "world", [np.eye(4)] * 2)
+    wrong("pose is given for a drive that moves; allowed: for ", Drive(rig, driven()), "vehicle", [np.eye(4)] * 2)
+    wrong("no pose; allowed: one with each batch, or none at all", still, "vehicle", [np.eye(4), None])
+    wrong("a pose is given, but none with the batches before; allowed: ", still, "vehicle", [None, np.eye(4)])
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_another_library_casts_the_rays(tmp_path):
@@ -272,7 +351,8 @@ def test_wrong_ranges_are_said(tmp_path):
             writer.write(rays, range_m, intensity)
 
     wrong(f"ranges_m is of shape ({count}, 3); allowed: ({count},), ({count}, 1) and ({count}, 2)", np.ones((count, 3)))
-    wrong(f"intensity is of shape (), not of that of ranges_m, ({count},)", intensity=1)
+    wrong(f"intensity is of shape (1,); allowed: a number, or ({count},) as ranges_m", intensity=np.ones(1))
+    wrong("intensity has 256 for ray 0; allowed: 0 to 255", intensity=256)
     wrong(
         "2 returns of a ray of s0; allowed: 1, as its return mode is strongest",
         np.ones((count, 2)),
