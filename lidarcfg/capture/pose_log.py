@@ -16,7 +16,7 @@ BACK_S = FIX_S + 0.1  # how far back packets ask where the vehicle was
 class PoseLog:
     """Poses T_world_vehicle (4, 4), each that of the middle of a batch. Times are seconds since `start_ns`.
 
-    Before the first and after the last the vehicle moves on as between the two next to it.
+    Before the first and after the last the vehicle moves on as between the two next to it; long before, it stands.
     """
 
     def __init__(self, start_ns: int, begin_s: float) -> None:
@@ -30,8 +30,9 @@ class PoseLog:
         self._times_s.append((begin_s + end_s) / 2)
         self._poses.append(pose)
         if len(self._poses) == 2:
-            self._poses.insert(0, self._beyond(self._begin_s))
-            self._times_s.insert(0, self._begin_s)
+            begins_s = sorted({0.0, self._begin_s})
+            self._poses[:0] = [self._beyond(self._begin_s)] * len(begins_s)
+            self._times_s[:0] = begins_s
 
     @property
     def settled_s(self) -> float:
@@ -46,7 +47,7 @@ class PoseLog:
     def whole(self, end_s: float) -> Trajectory:
         """The motion through all poses until then."""
         if len(self._poses) == 1:  # it stands
-            return Trajectory.from_poses(np.array([self._begin_s, end_s]), np.array(2 * self._poses), self._start_ns)
+            return Trajectory.from_poses(np.array([0.0, end_s]), np.array(2 * self._poses), self._start_ns)
         times_s = np.array([*self._times_s, end_s])
         return Trajectory.from_poses(times_s, np.array([*self._poses, self._beyond(end_s)]), self._start_ns)
 

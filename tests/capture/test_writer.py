@@ -8,6 +8,7 @@ import numpy as np
 import open3d
 import pytest
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from lidarcfg.capture.decode import decode_pcap
@@ -282,16 +283,27 @@ def test_after_an_error_nothing_is_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_capture_without_a_scene_becomes_a_bag_by_its_rig(tmp_path):
-    """KITTI needs a scene."""
-    written(tmp_path / "a.pcap", rig_of("os1-32", "vlp-16"), 0.2, 0.1, driven())
-    alone = "a.pcap.yaml: names no scene; --rig takes the sensors' poses alone"
-    assert alone in lidarcfg("convert", "a.pcap", "-o", "a.mcap", cwd=tmp_path, code=2).stderr
-    lidarcfg("convert", "a.pcap", "-o", "a.mcap", "--rig", "a.pcap.rig.yaml", cwd=tmp_path)
+def test_a_capture_without_a_scene_becomes_a_bag_with_its_motion(tmp_path):
+    """Read by mcap's own reader: the vehicle is where the arc is, and its sensors where the rig has them."""
+    rig = rig_of("os1-32", "vlp-16")
+    written(tmp_path / "a.pcap", rig, 0.2, 0.1, driven())
+    lidarcfg("convert", "a.pcap", "-o", "a.mcap", cwd=tmp_path)
     with open(tmp_path / "a.mcap", "rb") as file:
-        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
-    assert "/tf_static" in topics
-    assert any("s0" in topic for topic in topics)
+        found = list(make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
+    topics = {channel.topic for _, channel, _, _ in found}
+    assert topics == {"/tf_static", "/tf", "/s0/points", "/s1/points"}
+    (fixed,) = (message for _, channel, _, message in found if channel.topic == "/tf_static")
+    for transform, mount in zip(fixed.transforms, rig.mounts, strict=True):
+        place = transform.transform.translation
+        assert (place.x, place.y, place.z) == pytest.approx(mount.position_m)
+    moved = [message.transforms[0] for _, channel, _, message in found if channel.topic == "/tf"]
+    assert len(moved) == 20
+    rate_rad_s = np.radians(30)
+    for one in moved:
+        turned_rad = rate_rad_s * (one.header.stamp.sec - START_NS // SECOND_NS + one.header.stamp.nanosec / SECOND_NS)
+        place = one.transform.translation
+        assert place.x == pytest.approx(8 / rate_rad_s * np.sin(turned_rad), abs=1e-6)
+        assert place.y == pytest.approx(8 / rate_rad_s * (1 - np.cos(turned_rad)), abs=1e-6)
     words = "convert", "a.pcap", "-o", "kitti", "--to", "kitti-odometry", "--truth", "x.npz"
     assert "a.pcap.yaml: names no scene; export with" in lidarcfg(*words, cwd=tmp_path, code=2).stderr
 
