@@ -6,6 +6,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ from lidarcfg.capture.replay import Senders, receiver_address
 from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, save_clouds
 from lidarcfg.errors import LidarcfgError, PacketError, reason
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
-from lidarcfg.geometry import Array, Bytes
+from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import RETURN_TYPES
@@ -71,6 +72,7 @@ class Writer:
         self._captures = [_Capture(path, on_warning) for path in paths if path.suffix.lower() == ".pcap"]
         self._clouds = [_Cloud(path) for path in paths if path.suffix.lower() != ".pcap"]
         self._streams: list[_Capture | _Hosts] = [*self._captures, *([_Hosts(targets)] if targets else [])]
+        self._telling_ns = 0 if targets else SECOND_NS  # from one time to the next, at least: it has a fixed cost
         self._codecs = []
         if self._streams:
             self._codecs = [codec(sensor.mount.sensor) for sensor in drive.sensors]
@@ -175,15 +177,14 @@ class Writer:
                 mount = one.sensor.mount
                 payloads = self._codecs[one.sensor.index].encode(mount, one.batch, *returns)
                 sent.append(Sent(2 * one.sensor.index, mount, payloads))
-        end_ns = told_ns = round(rays.end_s * SECOND_NS)
-        trajectory = self._drive.trajectory
+        end_ns = known_ns = round(rays.end_s * SECOND_NS)
         if self._poses:
-            told_ns = max(round(self._poses.settled_s * SECOND_NS) - self._drive.late_ns, self._told_ns)
-            if told_ns > self._told_ns:
-                trajectory = self._poses.recent(self._told_ns / SECOND_NS)
-        sent += self._housekeeping(trajectory, told_ns)
+            known_ns = round(self._poses.settled_s * SECOND_NS) - self._drive.late_ns
+        if known_ns - self._told_ns > self._telling_ns:
+            trajectory = self._poses.recent(self._told_ns / SECOND_NS) if self._poses else self._drive.trajectory
+            sent += self._housekeeping(trajectory, known_ns)
         known_ns = min(
-            sensor.start_ns + min(sensor.packets(end_ns) * sensor.timing.pace(sensor.mount).period_ns, told_ns)
+            sensor.start_ns + min(sensor.packets(end_ns) * sensor.timing.pace(sensor.mount).period_ns, self._told_ns)
             for sensor in self._drive.sensors
         )
         for stream in self._streams:
@@ -305,6 +306,14 @@ def _check(path: Path) -> None:
         raise PacketError.from_os(path, error) from None
 
 
+class _Records(NamedTuple):
+    """N records of a capture that others may come before."""
+
+    time_ns: Times  # (N,)
+    stream: Times  # (N,)
+    records: list[bytes]
+
+
 class _Capture:
     """A capture, with the files that readers need and a manifest."""
 
@@ -313,7 +322,7 @@ class _Capture:
         _check(manifest_path(path))
         self._path = path
         self._on_warning = on_warning
-        self._waiting: list[tuple[int, int, bytes]] = []  # records that others may come before: time, stream
+        self._waiting = _Records(np.empty(0, np.int64), np.empty(0, np.int64), [])
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -327,14 +336,17 @@ class _Capture:
 
     def send(self, sent: Sequence[Sent], known_ns: int) -> None:
         """Write packets. All that leave before `known_ns` have come."""
+        found = [self._waiting]
         for one in sent:
             made = ethernet_frames(one.mount.host, one.payloads)
-            times = made.time_ns.tolist()
-            self._waiting += zip(times, [one.stream] * len(times), made.records, strict=True)
-        self._waiting.sort(key=lambda record: record[:2])
-        ready = next((n for n, (at, *_) in enumerate(self._waiting) if at >= known_ns), len(self._waiting))
-        self._file.write(b"".join(record for *_, record in self._waiting[:ready]))
-        del self._waiting[:ready]
+            found.append(_Records(made.time_ns, np.full(len(made.records), one.stream), made.records))
+        time_ns, stream = (np.concatenate(column) for column in list(zip(*found, strict=True))[:2])
+        records = list(chain.from_iterable(one.records for one in found))
+        order = np.lexsort((stream, time_ns))
+        ready = int(np.searchsorted(time_ns[order], known_ns))
+        self._file.write(b"".join([records[n] for n in order[:ready].tolist()]))
+        later = order[ready:]
+        self._waiting = _Records(time_ns[later], stream[later], [records[n] for n in later.tolist()])
 
     def save_companions(self, drive: Drive, duration_ns: int) -> None:
         """Write the files beside the capture, and remove those of an earlier one."""
