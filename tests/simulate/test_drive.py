@@ -69,6 +69,18 @@ def test_columns_count_how_often_a_channel_has_fired():
     assert max(before.values()) > 100
 
 
+@pytest.mark.parametrize(("model", "keys", "steps"), [("qt128", {}, 900), ("ot128", {"resolution": "high"}, 3600)])
+def test_the_head_places_channels_that_rest_in_a_range_image(model, keys, steps):
+    """Steps of 0.4 and 0.1 degrees at 10 Hz, as Hesai says; half of the channels fire at each, the others at half."""
+    mount = {"name": "top", "model": model, "position_m": [0, 0, 2], "hesai": keys}
+    (rays,) = Drive({"name": "one", "sensors": [mount]}).firings(0, 0.1, 0.1)
+    image = np.zeros((128, steps), np.int64)
+    np.add.at(image, (rays.channel, np.rint(rays.head_rad / (2 * np.pi) * steps).astype(int) % steps), 1)
+    assert image.max() == 1
+    lonely = steps - image.sum(axis=1)
+    assert sorted(np.round(lonely / steps, 2).tolist()) == [0] * 64 + [0.5] * 64
+
+
 @pytest.mark.parametrize("step_s", [0.0013, 0.05])
 def test_steps_divide_the_firings_and_lose_none(step_s):
     drive = Drive(RIG)
