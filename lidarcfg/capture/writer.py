@@ -6,6 +6,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
@@ -23,7 +24,7 @@ from lidarcfg.capture.replay import Senders, receiver_address
 from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, save_clouds
 from lidarcfg.errors import LidarcfgError, PacketError, reason
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
-from lidarcfg.geometry import Array, Bytes, Times
+from lidarcfg.geometry import Array, Bytes, Times, transform
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import RETURN_TYPES
@@ -49,9 +50,9 @@ class Writer:
     """Writes what the rays of a drive hit to one or more outputs, from entering to leaving it.
 
     An output is a capture (.pcap), a host to which each packet is sent at its time, or later (udp://HOST or
-    udp://HOST:PORT, IPv4), or a cloud (.ply, .pcd, .npz) in the frame of the rays, which is held in memory. Files are
-    written whole, or not at all if the block ends with an error. With `noise`, the errors that the rig's `realism` has
-    are added. Raises LidarcfgError.
+    udp://HOST:PORT, IPv4), or a cloud (.ply, .pcd, .npz), which is held in memory: in the frame of the rays, or in the
+    world where the vehicle's poses are given. Files are written whole, or not at all if the block ends with an error.
+    With `noise`, the errors that the rig's `realism` has are added. Raises LidarcfgError.
     """
 
     def __init__(
@@ -119,7 +120,7 @@ class Writer:
             raise LidarcfgError("a writer writes from entering to leaving it: with Writer(…) as writer")
         range_m, bright = _returns(rays, ranges_m, intensity)
         self._check_order(rays)
-        self._follow(rays, pose)
+        T_world_vehicle = self._follow(rays, pose)
         ends = np.cumsum([len(one.batch.firings.time_ns) for one in rays.packets])
         parts = [slice(end - len(one.batch.firings.time_ns), end) for end, one in zip(ends, rays.packets, strict=True)]
         seen = [self._reported(one, range_m[rows], bright[rows]) for one, rows in zip(rays.packets, parts, strict=True)]
@@ -127,7 +128,8 @@ class Writer:
             self._send(rays, seen)
         for cloud in self._clouds:
             for one, rows, some in zip(rays.packets, parts, seen, strict=True):
-                cloud.points.append(_points(self._drive.rig.mounts, one, rays, rows, *some))
+                points = _points(self._drive.rig.mounts, one, rays, rows, *some)
+                cloud.points.append(replace(points, xyz=transform(T_world_vehicle, points.xyz)))
         for one in rays.packets:
             self._written[one.sensor.index] = one.first + len(one.batch.firings.time_ns)
         self._end_s = rays.end_s
@@ -141,9 +143,10 @@ class Writer:
                 what = "the rays do not follow those before"
                 raise LidarcfgError(f"{what}; write each batch of the drive once, in its order")
 
-    def _follow(self, rays: RayBatch, pose: Any) -> None:
-        """Take the vehicle's pose. Raises LidarcfgError where there can be none, or must be one."""
+    def _follow(self, rays: RayBatch, pose: Any) -> Array:
+        """Take the vehicle's pose; returns it. Raises LidarcfgError where there can be none, or must be one."""
         first = self._end_s is None
+        T = np.eye(4)
         if pose is None:
             if self._poses:
                 raise LidarcfgError("no pose; allowed: one with each batch, or none at all")
@@ -160,6 +163,7 @@ class Writer:
             self._poses.add(rays.start_s, rays.end_s, T)
         if first:
             self._told_ns = round(rays.start_s * SECOND_NS)
+        return T
 
     def _followed(self, duration_ns: int) -> Drive:
         """The drive, along the poses that were given."""
@@ -177,12 +181,12 @@ class Writer:
                 mount = one.sensor.mount
                 payloads = self._codecs[one.sensor.index].encode(mount, one.batch, *returns)
                 sent.append(Sent(2 * one.sensor.index, mount, payloads))
-        end_ns = known_ns = round(rays.end_s * SECOND_NS)
+        end_ns = settled_ns = round(rays.end_s * SECOND_NS)
         if self._poses:
-            known_ns = round(self._poses.settled_s * SECOND_NS) - self._drive.late_ns
-        if known_ns - self._told_ns > self._telling_ns:
+            settled_ns = round(self._poses.settled_s * SECOND_NS) - self._drive.late_ns
+        if settled_ns - self._told_ns > self._telling_ns:
             trajectory = self._poses.recent(self._told_ns / SECOND_NS) if self._poses else self._drive.trajectory
-            sent += self._housekeeping(trajectory, known_ns)
+            sent += self._housekeeping(trajectory, settled_ns)
         known_ns = min(
             sensor.start_ns + min(sensor.packets(end_ns) * sensor.timing.pace(sensor.mount).period_ns, self._told_ns)
             for sensor in self._drive.sensors

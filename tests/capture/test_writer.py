@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
-from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.decode import decode, decode_pcap
 from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.manifest import load_manifest
 from lidarcfg.capture.pcap import read_datagrams, write_pcap
@@ -183,6 +183,23 @@ def test_poses_of_a_simulator_are_those_of_the_manifest_and_of_all_other_packets
             writer.write(rays, np.full(len(rays), 5.0), 40)
     standing = [one.payload for one in read_datagrams(tmp_path / "c.pcap", no_warning)]
     assert 50 < sum(one.payload != other for one, other in zip(ours, standing, strict=True)) < len(ours) / 2
+
+
+def test_with_poses_a_wall_of_the_world_is_one(tmp_path):
+    """The wall x = 9, hit from each batch's pose: in the cloud exactly; deskewed, but for half a step of the motion."""
+    drive = Drive(rig_of("vlp-16", "mid-360"))
+    with Writer(drive, tmp_path / "a.pcap", tmp_path / "a.ply") as writer:
+        for rays in drive.firings(0.1, 0.3, 0.01, "vehicle"):
+            (T,) = turning(np.array([(rays.start_s + rays.end_s) / 2]))
+            starts, ways = rays.origins_m @ T[:3, :3].T + T[:3, 3], rays.directions @ T[:3, :3].T
+            range_m = np.where(ways[:, 0] > 0.2, (9 - starts[:, 0]) / ways[:, 0], np.inf)
+            writer.write(rays, range_m, 40, T)
+    drawn = load_cloud(tmp_path / "a.ply", no_warning)
+    assert len(drawn.xyz) > 20_000
+    np.testing.assert_allclose(drawn.xyz[:, 0], 9, rtol=0, atol=1e-9)
+    decoded = decode(tmp_path / "a.pcap", deskew=True)
+    assert len(decoded.xyz) == len(drawn.xyz)
+    assert np.abs(decoded.xyz[:, 0] - 9).max() < 0.005 * (1.2 + 0.6 * 45) + 0.01
 
 
 def test_one_pose_is_where_the_vehicle_stands(tmp_path):
