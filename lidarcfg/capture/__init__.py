@@ -5,8 +5,8 @@ packets of each sensor, `source_finder` says whose they are, `stream` puts them 
 `fragments` read the files, `selection` skips what is not wanted. `revolutions` cuts the points into these.
 
 The other way: `export` gives what the sensors of a rig send in a scene, `ground_truth` what each return hit; `writer`
-sends the same from the scenes of others, who may say where the vehicle was: `pose_log`. `manifest` names the inputs of a
-capture, and `manifest_writer` writes it. `replay` sends a capture over the network. Meanwhile `emulation` finds the
+sends the same from the scenes of others, who may say where the vehicle was: `pose_log`. `manifest` names the inputs of
+a capture, and `manifest_writer` writes it. `replay` sends a capture over the network. Meanwhile `emulation` finds the
 sensors that answer drivers, and `emulation_server` answers on their ports.
 """
 
