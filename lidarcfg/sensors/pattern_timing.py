@@ -33,7 +33,8 @@ class PatternTiming(Timing):
 
     def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
         scan = mount.sensor.pattern
-        return counts(scan, scan.count_before(packet * self.pace(mount).period_ns), in_view(mount, scan.azimuth_rad))
+        end = scan.count_before(packet * self.pace(mount).period_ns)
+        return fired_counts(scan, end, in_view(mount, scan.azimuth_rad))
 
     def pattern(self, mount: Mount) -> FramePattern:
         return FramePattern(mount.sensor.pattern)
@@ -50,7 +51,7 @@ def firings(pattern: ScanPattern, start_ns: int, first: int, end: int) -> Firing
     )
 
 
-def counts(pattern: ScanPattern, end: int, fires: Flags | None = None) -> Times:
+def fired_counts(pattern: ScanPattern, end: int, fires: Flags | None = None) -> Times:
     """(L,) how often each channel is among the firings before number `end` of a pattern, or those (F,) that fire."""
     periods, rest = divmod(end, len(pattern.channel))
     channel, first = pattern.channel, pattern.channel[:rest]

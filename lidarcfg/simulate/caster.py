@@ -19,7 +19,7 @@ from lidarcfg.simulate.simulator import CLEAR, Simulator
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.tracer import Tracer
-from lidarcfg.world.vehicle import resolve_vehicle
+from lidarcfg.world.vehicle import check_outside, resolve_vehicle
 
 AHEAD = 1  # batches that are cast while the caller has one
 PIECE_RAYS = 8192  # cast at a time, at least
@@ -50,12 +50,15 @@ class Caster:
     """
 
     def __init__(
-        self, drive: Drive, scene: Scene | Given, vehicle: Path | None = None, threads: int | None = None
+        self, drive: Drive, scene: Scene | Given, vehicle: str | Path | None = None, threads: int | None = None
     ) -> None:
+        self._drive = drive
         scene = loaded(scene, load_scene, Scene)
         begin_ns = drive.start_ns + round(max(drive.span_s[0], 0) * SECOND_NS)
         tracer = Tracer(scene, drive.trajectory.pose(begin_ns)[:3, 3], drive.start_ns)
-        carrier = resolve_vehicle(drive.rig, vehicle)
+        carrier = resolve_vehicle(drive.rig, None if vehicle is None else Path(vehicle))
+        if carrier:
+            check_outside(carrier, drive.rig.mounts)
         bodies = Tracer(carrier.scene, np.zeros(3)) if carrier else None
         mounts = [replace(sensor.mount, realism=None) for sensor in drive.sensors]
         self._simulators = [Simulator(i, one, tracer, drive.trajectory, bodies) for i, one in enumerate(mounts)]
@@ -79,6 +82,8 @@ class Caster:
 
     def _begun(self, pool: ThreadPoolExecutor, rays: RayBatch) -> CastBatch:
         """A batch, piece by piece handed to the threads."""
+        if any(one.sensor is not own for one, own in zip(rays.packets, self._drive.sensors, strict=False)):
+            raise LidarcfgError("the rays are of another drive")
         if rays.trajectory is None:
             raise LidarcfgError('rays are in the frame of the vehicle; allowed: frame="world"')
         shape = len(rays), self._columns

@@ -91,8 +91,15 @@ def test_rays_hit_what_single_rays_hit():
     assert hit == {-1, 0, 1, 2}
 
 
-def test_rays_must_be_in_the_world():
+def test_what_cannot_be_cast_is_said(tmp_path):
     rig = rig_of("vlp-16")
     drive = Drive(rig)
     with refused('rays are in the frame of the vehicle; allowed: frame="world"'):
         next(Caster(drive, SCENE).cast(drive.firings(0, 0.01, frame="vehicle")))
+    with refused("the rays are of another drive"):
+        next(Caster(drive, SCENE).cast(Drive(rig).firings(0, 0.01)))
+    low = load_rig({"name": "low", "sensors": [{"name": "top", "model": "vlp-16", "position_m": [1, 0, 0.6]}]})
+    (tmp_path / "van.yaml").write_text(str(VEHICLE))
+    with refused("top is inside the vehicle's 'hood'"):
+        Caster(Drive(low), SCENE, tmp_path / "van.yaml")
+    assert Caster(Drive(low), SCENE, "none")
