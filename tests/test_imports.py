@@ -17,7 +17,7 @@ from lidarcfg import core
 PACKAGE = Path(__file__).parents[1] / "lidarcfg"
 # The folder listing of the package, from the ground up: each line imports only what stands above it, and itself.
 LISTING = (
-    ["errors", "units", "core", "maths", "geometry", "futures", "files", "inputs"],  # the ground
+    ["errors", "units", "core", "maths", "geometry", "futures", "files", "inputs", "notebook"],  # the ground
     ["config"],  # our YAML files
     ["clouds"],  # point clouds and their files
     ["sensors"],  # sensors, rigs and mounts

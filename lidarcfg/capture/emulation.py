@@ -4,7 +4,7 @@ The answers are the maker's: `packets/emulator.py` has the interface. This modul
 can answer; `emulation_server` has the sockets.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,13 +38,19 @@ class EmulatedSensor:
 
 
 def find_emulated(
-    path: Path, target: str, port: int | None, selection: Selection, on_warning: Callable[[str], None]
+    path: Path,
+    target: str,
+    port: int | None,
+    selection: Selection,
+    on_warning: Callable[[str], None],
+    sidecars: Sequence[Path] = (),
 ) -> list[EmulatedSensor]:
     """The sensors in a part of a capture that can answer drivers while it is sent to a host and port.
 
-    Warns of those that cannot. Raises PacketError, ConfigError if none can, or one lacks what it needs for it.
+    Warns of those that cannot. `sidecars` are those of `decode`. Raises PacketError, ConfigError if none can, or one
+    lacks what it needs for it.
     """
-    sources = SourceFinder(path, on_warning)
+    sources = SourceFinder(path, on_warning, sidecars=sidecars)
     receiver = receiver_address(target)
     found: dict[str, EmulatedSensor] = {}
     without: list[str] = []
@@ -63,6 +69,8 @@ def find_emulated(
         makers = ", ".join(name for name in FAMILIES if family(name).emulator is not Codec.emulator)
         there = ", ".join(without) or "none"
         raise PacketError(f"{path}: no sensor that can be emulated; allowed: those of {makers}; its sensors: {there}")
+    for warning in sources.unread:
+        on_warning(warning)
     if without:
         on_warning(f"{', '.join(without)}: no driver asks such a sensor, so it only sends")
     return list(found.values())

@@ -84,7 +84,7 @@ class PacketSource:
     where: str  # file and endpoint, for errors
     host: str  # its address
     port: int  # the destination's
-    sidecar_files: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
+    sidecar_files: Callable[[str], Mapping[str, bytes]]  # with this suffix: those given, or those beside the capture
     payloads: Callable[[int | None, int], Iterator[Bytes]]  # of one size, of the host to a port or to any
     on_warning: Callable[[str], None]
     driver_view: bool = False  # angles and times are wanted as the maker's own driver computes them, if it differs
@@ -178,6 +178,14 @@ class Codec(Timing, Protocol):
         return {}
 
     # reading
+
+    @classmethod
+    def sidecar_suffix(cls, name: str, content: bytes) -> str | None:
+        """The suffix under which this file, of any name, is read beside a capture; None: it is no such file.
+
+        Raises PacketError if it is damaged.
+        """
+        return None
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

@@ -33,6 +33,7 @@ from lidarcfg.config.models import (
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, pose
+from lidarcfg.notebook import Shown
 from lidarcfg.sensors.realism import Realism, RealismOrName, resolved
 from lidarcfg.sensors.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
 from lidarcfg.units import MINUTE_NS
@@ -161,6 +162,11 @@ class Mount:
     settings: Section = field(default_factory=lambda: Section({}))  # what the sensor's codec reads
     realism: Realism | None = None  # None: exact
 
+    def __repr__(self) -> str:
+        at = ", ".join(f"{value:g}" for value in self.position_m)
+        turned = ", ".join(f"{math.degrees(angle):g}" for angle in self.rpy_rad)
+        return f"<Mount {self.name}: {self.sensor.name} at ({at}) m, rpy ({turned})°>"
+
     @property
     def dual(self) -> bool:
         """Whether its packets hold two returns per firing."""
@@ -178,12 +184,15 @@ class Mount:
 
 
 @dataclass(frozen=True)
-class Rig:
+class Rig(Shown):
     """Sensors mounted on a vehicle."""
 
     name: str
     mounts: tuple[Mount, ...]
     vehicle: Section | None = None  # what they are mounted on, as world/vehicle.py reads it; None: not known
+
+    def __repr__(self) -> str:
+        return f"<Rig {self.name}: {', '.join(f'{mount.name} ({mount.sensor.name})' for mount in self.mounts)}>"
 
     def without(self, *names: str) -> "Rig":
         """The rig without some sensors. Raises ConfigError for names that it does not have, and if none is left."""

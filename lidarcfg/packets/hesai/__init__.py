@@ -81,6 +81,11 @@ class Hesai(Codec):
         return {**telemetry.correction_file(self.unit, mount), **telemetry.firing_times_file(self.unit, mount)}
 
     @classmethod
+    def sidecar_suffix(cls, name: str, content: bytes) -> str | None:
+        """Of angles, or of firing times."""
+        return telemetry.suffix_of(content)
+
+    @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
         """By its first bytes only; `identify` finds the model."""
         return decode.matches(size, payload)

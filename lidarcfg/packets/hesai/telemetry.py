@@ -16,6 +16,7 @@ FIRING_TIMES = "-firetimes.csv"
 ENERGY_SAVING = 3  # an operational state of the Pandar128
 NAMED = re.compile(r"-\d+\.\d+\.\d+\.\d+-\d+-angles\.csv$")  # whose they are, by address and port
 ROW = re.compile(r"\s*(\d+)\s*,\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*,?\s*")
+OF_FIRING_TIMES = re.compile(r"fire ?time|firing|operation(al)? (state|mode)", re.IGNORECASE)  # words of their heads
 NO_ANGLE = re.compile(r"\s*\d+\s*,.*?([-+]?\b(?:nan|inf|infinity))\b.*", re.IGNORECASE)
 
 
@@ -105,6 +106,14 @@ def find_corrections(source: PacketSource, count: int) -> Beams | None:
         what = f"may belong to {' or '.join(right)}; name one of them …-{source.host}-{source.port}{SUFFIX}"
         raise PacketError(f"{source.where} {what}")
     return tables[right[0]] if right else None
+
+
+def suffix_of(content: bytes) -> str | None:
+    """The suffix of a file of angles or of firing times, by its content; None if it is neither."""
+    lines = content.decode("utf-8-sig", "replace").splitlines()
+    if any(OF_FIRING_TIMES.search(line) for line in lines[:3]):
+        return FIRING_TIMES
+    return SUFFIX if any(ROW.fullmatch(line) or NO_ANGLE.fullmatch(line) for line in lines) else None
 
 
 def parse_corrections(name: str, content: bytes) -> Beams:
