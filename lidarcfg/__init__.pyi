@@ -14,6 +14,7 @@ from .sensors.rig import load_rig as load_rig
 from .sensors.rig import save_rig as save_rig
 from .sensors.sensor import Sensor as Sensor
 from .sensors.sensor import load_sensor as load_sensor
+from .simulate.caster import Caster as Caster
 from .simulate.drive import Drive as Drive
 from .study.evaluation import evaluate as evaluate
 from .study.loading import load_study as load_study

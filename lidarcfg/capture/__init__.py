@@ -5,9 +5,9 @@ packets of each sensor, `source_finder` says whose they are, `stream` puts them 
 `fragments` read the files, `selection` skips what is not wanted. `revolutions` cuts the points into these.
 
 The other way: `export` gives what the sensors of a rig send in a scene, `ground_truth` what each return hit, and `wire`
-what of it is lost or late; `writer` sends the same from the scenes of others. `manifest` names the inputs of a capture,
-and `manifest_writer` writes it. `replay` sends a capture over the network. Meanwhile `emulation` finds the sensors that
-answer drivers, and `emulation_server` answers on their ports.
+what of it is lost or late; `writer` sends the same from the scenes of others, who may say where the vehicle was:
+`pose_log`. `manifest` names the inputs of a capture, and `manifest_writer` writes it. `replay` sends a capture over the
+network. Meanwhile `emulation` finds the sensors that answer drivers, and `emulation_server` answers on their ports.
 """
 
 import lazy_loader

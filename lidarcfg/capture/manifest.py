@@ -59,15 +59,15 @@ class DriveInputs:
         return Trajectory(self.T_world_start, load_path(self.trajectory), self.start_ns)
 
     def load(self) -> "SceneDrive":
-        """The drive of a rig in a scene for a while, which must all be known. Raises LidarcfgError."""
+        """The drive of a rig for a while, which must be known, in a scene, if that is. Raises LidarcfgError."""
         from lidarcfg.simulate.scene_drive import SceneDrive  # with all that tracing needs
+        from lidarcfg.world.scene import no_scene
 
         assert self.rig
-        assert self.scene
         assert self.duration_s
         return SceneDrive.load(
             self.rig,
-            self.scene,
+            self.scene or no_scene(),
             self.duration_s,
             at=self.motion(),
             vehicle=self.vehicle,

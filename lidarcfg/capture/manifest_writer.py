@@ -122,7 +122,7 @@ class ManifestInputs:
             on_warning(f"{manifest}: is not written, as {self._obstacle}; decode needs to be told")
             return []
         if self.files.get("scene", output) is None:
-            on_warning(f"{manifest}: names no scene, which is in no file; view and convert need it")
+            on_warning(f"{manifest}: names no scene, which is in no file; view needs it, and convert to data sets")
         self._write(output)
         suffixes = [given.suffix for given in self.files.values() if isinstance(given, SidecarInput)]
         return [manifest, *(output.with_name(output.name + suffix) for suffix in suffixes)]

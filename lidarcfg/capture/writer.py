@@ -6,6 +6,8 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -17,11 +19,12 @@ from lidarcfg.capture.export import save_sidecar_files
 from lidarcfg.capture.manifest import DriveInputs, manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import FILE_HEADER
+from lidarcfg.capture.pose_log import PoseLog
 from lidarcfg.capture.replay import Senders, receiver_address
 from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, save_clouds
 from lidarcfg.errors import LidarcfgError, PacketError, reason
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
-from lidarcfg.geometry import Array, Bytes
+from lidarcfg.geometry import Array, Bytes, Times, transform
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.firing import RETURN_TYPES
@@ -30,6 +33,7 @@ from lidarcfg.simulate.drive import Drive, FiredPackets, RayBatch, SensorTimelin
 from lidarcfg.simulate.echoes import EXACT, Echoes, SensorErrors
 from lidarcfg.simulate.scans import reported
 from lidarcfg.units import SECOND_NS, TIME_END_NS
+from lidarcfg.world.motion import Trajectory, are_poses
 
 UDP = "udp://"
 
@@ -46,9 +50,9 @@ class Writer:
     """Writes what the rays of a drive hit to one or more outputs, from entering to leaving it.
 
     An output is a capture (.pcap), a host to which each packet is sent at its time, or later (udp://HOST or
-    udp://HOST:PORT, IPv4), or a cloud (.ply, .pcd, .npz) in the frame of the rays, which is held in memory. Files are
-    written whole, or not at all if the block ends with an error. With `noise`, the errors that the rig's `realism` has
-    are added. Raises LidarcfgError.
+    udp://HOST:PORT, IPv4), or a cloud (.ply, .pcd, .npz), which is held in memory: in the frame of the rays, or in the
+    world where the vehicle's poses are given. Files are written whole, or not at all if the block ends with an error.
+    With `noise`, the errors that the rig's `realism` has are added. Raises LidarcfgError.
     """
 
     def __init__(
@@ -63,12 +67,16 @@ class Writer:
         self._drive = drive
         self._written = [0] * len(drive.sensors)  # firings of each sensor
         self._end_s: float | None = None  # None: nothing is written
+        self._poses: PoseLog | None = None  # of a vehicle that the drive does not move
+        self._encoded: list[Sent] = []  # data packets that do not hold yet what an IMU measures
+        self._told_ns = 0  # since the start: the packets that are no data are sent until then
         self._errors = [_errors(sensor, noise, on_warning) for sensor in drive.sensors]
         targets = [name for name in names if name.startswith(UDP)]
         paths = [Path(name) for name in names if not name.startswith(UDP)]
-        self._captures = [_Capture(drive, path, on_warning) for path in paths if path.suffix.lower() == ".pcap"]
+        self._captures = [_Capture(path, on_warning) for path in paths if path.suffix.lower() == ".pcap"]
         self._clouds = [_Cloud(path) for path in paths if path.suffix.lower() != ".pcap"]
         self._streams: list[_Capture | _Hosts] = [*self._captures, *([_Hosts(targets)] if targets else [])]
+        self._telling_ns = 0 if targets else SECOND_NS  # from one time to the next, at least: it has a fixed cost
         self._codecs = []
         if self._streams:
             self._codecs = [codec(sensor.mount.sensor) for sensor in drive.sensors]
@@ -92,26 +100,32 @@ class Writer:
         with opened:
             if self._end_s is None:
                 raise LidarcfgError("no rays were written")
-            for capture in self._captures:
-                capture.send((), TIME_END_NS)
+            duration_ns = round(self._end_s * SECOND_NS)
+            drive = self._followed(duration_ns)
+            rest: list[Sent] = []
+            if self._streams:
+                rest = self._measured(drive.trajectory) + self._housekeeping(drive.trajectory, duration_ns)
+            for stream in self._streams:
+                stream.send(rest, TIME_END_NS)
             for cloud in self._clouds:
                 cloud.save()
-            duration_ns = round(self._end_s * SECOND_NS)
         for capture in self._captures:  # which are in place now
-            capture.save_companions(duration_ns)
+            capture.save_companions(drive, duration_ns)
 
-    def write(self, rays: RayBatch, ranges_m: Any, intensity: Any) -> None:
+    def write(self, rays: RayBatch, ranges_m: Any, intensity: Any, pose: Any = None) -> None:
         """Write what a batch of N rays hit, the batches of the drive in their order.
 
         `ranges_m` is (N,), or (N, R) with up to as many returns as the rig's sensors report: those of the return mode,
         as `Codec.encode` has them; NaN or inf: none. `intensity` of the same shape is 0 to 100 for diffuse targets, in
-        per cent, and above for retro-reflectors. Arrays are numpy's, or anything on the CPU with `__dlpack__` or
-        `__array_interface__`. Raises LidarcfgError.
+        per cent, and above for retro-reflectors; or one number for all. Arrays are numpy's, or anything on the CPU with
+        `__dlpack__` or `__array_interface__`. `pose` T_world_vehicle (4, 4) is for rays in the vehicle's frame: where
+        these were cast from, taken as that of the middle of the batch. Raises LidarcfgError.
         """
         if not self._open:
             raise LidarcfgError("a writer writes from entering to leaving it: with Writer(…) as writer")
         range_m, bright = _returns(rays, ranges_m, intensity)
         self._check_order(rays)
+        T_world_vehicle = self._follow(rays, pose)
         ends = np.cumsum([len(one.batch.firings.time_ns) for one in rays.packets])
         parts = [slice(end - len(one.batch.firings.time_ns), end) for end, one in zip(ends, rays.packets, strict=True)]
         seen = [self._reported(one, range_m[rows], bright[rows]) for one, rows in zip(rays.packets, parts, strict=True)]
@@ -119,7 +133,8 @@ class Writer:
             self._send(rays, seen)
         for cloud in self._clouds:
             for one, rows, some in zip(rays.packets, parts, seen, strict=True):
-                cloud.points.append(_points(self._drive.rig.mounts, one, rays, rows, *some))
+                points = _points(self._drive.rig.mounts, one, rays, rows, *some)
+                cloud.points.append(replace(points, xyz=transform(T_world_vehicle, points.xyz)))
         for one in rays.packets:
             self._written[one.sensor.index] = one.first + len(one.batch.firings.time_ns)
         self._end_s = rays.end_s
@@ -133,22 +148,58 @@ class Writer:
                 what = "the rays do not follow those before"
                 raise LidarcfgError(f"{what}; write each batch of the drive once, in its order")
 
+    def _follow(self, rays: RayBatch, pose: Any) -> Array:
+        """Take the vehicle's pose; returns it. Raises LidarcfgError where there can be none, or must be one."""
+        first = self._end_s is None
+        T = np.eye(4)
+        if pose is None:
+            if self._poses:
+                raise LidarcfgError("no pose; allowed: one with each batch, or none at all")
+        elif rays.trajectory or not self._drive.trajectory.path.is_static:
+            where = "rays in the world" if rays.trajectory else "a drive that moves"
+            raise LidarcfgError(f'pose is given for {where}; allowed: for frame="vehicle" of a drive that stands')
+        elif not (first or self._poses):
+            raise LidarcfgError("a pose is given, but none with the batches before; allowed: one with each, or none")
+        else:
+            T = _array("pose", pose).astype(np.float64)
+            if T.shape != (4, 4) or not are_poses(T[None])[0]:
+                raise LidarcfgError("pose is none; allowed: T_world_vehicle (4, 4), a rotation and a shift")
+            self._poses = self._poses or PoseLog(self._drive.start_ns, rays.start_s)
+            self._poses.add(rays.start_s, rays.end_s, T)
+        if first:
+            self._told_ns = round(rays.start_s * SECOND_NS)
+        return T
+
+    def _followed(self, duration_ns: int) -> Drive:
+        """The drive, along the poses that were given."""
+        drive = self._drive
+        if not self._poses:
+            return drive
+        whole = self._poses.whole((duration_ns + drive.late_ns) / SECOND_NS)
+        return Drive(drive.rig, whole, start_ns=drive.start_ns, origin=drive.origin)
+
     def _send(self, rays: RayBatch, seen: Sequence[tuple[Array, Bytes]]) -> None:
-        """Send what the sensors report, and their other packets."""
-        begin_ns, end_ns = (round(at_s * SECOND_NS) for at_s in (rays.start_s, rays.end_s))
-        sent = []
+        """Send what the sensors report, and their other packets as far as the vehicle's motion is known."""
         for one, returns in zip(rays.packets, seen, strict=True):
             if len(one.batch.sent_ns):
-                mount = one.sensor.mount
-                maker = self._codecs[one.sensor.index]
-                encoded = maker.encode(mount, one.batch, *returns)
-                payloads = maker.with_inertial(mount, self._drive.trajectory, encoded)
-                sent.append(Sent(2 * one.sensor.index, mount, payloads))
-        sent += self._housekeeping(range(begin_ns, end_ns))
+                payloads = self._codecs[one.sensor.index].encode(one.sensor.mount, one.batch, *returns)
+                self._encoded.append(Sent(2 * one.sensor.index, one.sensor.mount, payloads))
+        sent = [] if self._poses else self._measured(self._drive.trajectory)
+        end_ns = settled_ns = round(rays.end_s * SECOND_NS)
+        if self._poses:
+            settled_ns = round(self._poses.settled_s * SECOND_NS) - self._drive.late_ns
+        if settled_ns - self._told_ns > self._telling_ns:
+            trajectory = self._drive.trajectory
+            if self._poses:
+                waiting_ns = (int(one.payloads.time_ns[0]) - self._drive.start_ns for one in self._encoded)
+                trajectory = self._poses.recent(min([self._told_ns, *waiting_ns]) / SECOND_NS)
+                sent = self._measured(trajectory, self._drive.start_ns + settled_ns)
+            sent += self._housekeeping(trajectory, settled_ns)
         known_ns = min(
-            sensor.start_ns + sensor.packets(end_ns) * sensor.timing.pace(sensor.mount).period_ns
+            sensor.start_ns + min(sensor.packets(end_ns) * sensor.timing.pace(sensor.mount).period_ns, self._told_ns)
             for sensor in self._drive.sensors
         )
+        known_ns = min([known_ns, *(int(one.payloads.time_ns[0]) for one in self._encoded)])
         for stream in self._streams:
             stream.send(sent, known_ns // 1000 * 1000)
 
@@ -180,13 +231,28 @@ class Writer:
         errors.add(found, one.batch.firings.laser, one.first)
         return found.range_m + found.noise_m, found.reflectivity
 
-    def _housekeeping(self, due_ns: range) -> Iterator[Sent]:
-        """The other packets of all sensors."""
-        for sensor, maker in zip(self._drive.sensors, self._codecs, strict=True):
-            drive = self._drive
-            for some in maker.housekeeping(sensor.mount, drive.trajectory, drive.origin, sensor.start_ns, due_ns):
-                if len(some.time_ns):
-                    yield Sent(2 * sensor.index + 1, sensor.mount, some)
+    def _measured(self, trajectory: Trajectory, end_ns: int = TIME_END_NS) -> list[Sent]:
+        """The encoded packets of all sensors until then, with what their IMU measures."""
+        found = [one for one in self._encoded if one.payloads.time_ns[-1] < end_ns]
+        self._encoded = [one for one in self._encoded if one.payloads.time_ns[-1] >= end_ns]
+        return [
+            one._replace(payloads=self._codecs[one.stream // 2].with_inertial(one.mount, trajectory, one.payloads))
+            for one in found
+        ]
+
+    def _housekeeping(self, trajectory: Trajectory, end_ns: int) -> list[Sent]:
+        """The other packets of all sensors until then."""
+        due_ns = range(self._told_ns, end_ns)
+        self._told_ns = end_ns
+        if not due_ns:
+            return []
+        origin = self._drive.origin
+        return [
+            Sent(2 * sensor.index + 1, sensor.mount, some)
+            for sensor, maker in zip(self._drive.sensors, self._codecs, strict=True)
+            for some in maker.housekeeping(sensor.mount, trajectory, origin, sensor.start_ns, due_ns)
+            if len(some.time_ns)
+        ]
 
 
 def _errors(sensor: SensorTimeline, noise: bool, on_warning: Callable[[str], None]) -> SensorErrors | None:
@@ -205,8 +271,10 @@ def _returns(rays: RayBatch, ranges_m: Any, intensity: Any) -> tuple[Array, Byte
     bright = _array("intensity", intensity)
     if range_m.shape[:1] != (count,) or range_m.ndim > 2 or (range_m.ndim == 2 and not 1 <= range_m.shape[1] <= 2):
         raise LidarcfgError(f"ranges_m is of shape {range_m.shape}; allowed: ({count},), ({count}, 1) and ({count}, 2)")
+    if bright.ndim == 0:
+        bright = np.broadcast_to(bright, range_m.shape)
     if bright.shape != range_m.shape:
-        raise LidarcfgError(f"intensity is of shape {bright.shape}, not of that of ranges_m, {range_m.shape}")
+        raise LidarcfgError(f"intensity is of shape {bright.shape}; allowed: a number, or {range_m.shape} as ranges_m")
     if range_m.ndim == 1:
         range_m, bright = range_m[:, None], bright[:, None]
     wrong = range_m < 0
@@ -260,16 +328,23 @@ def _check(path: Path) -> None:
         raise PacketError.from_os(path, error) from None
 
 
+class _Records(NamedTuple):
+    """N records of a capture that others may come before."""
+
+    time_ns: Times  # (N,)
+    stream: Times  # (N,)
+    records: list[bytes]
+
+
 class _Capture:
     """A capture, with the files that readers need and a manifest."""
 
-    def __init__(self, drive: Drive, path: Path, on_warning: Callable[[str], None]) -> None:
+    def __init__(self, path: Path, on_warning: Callable[[str], None]) -> None:
         _check(path)
         _check(manifest_path(path))
-        self._drive = drive
         self._path = path
         self._on_warning = on_warning
-        self._waiting: list[tuple[int, int, bytes]] = []  # records that others may come before: time, stream
+        self._waiting = _Records(np.empty(0, np.int64), np.empty(0, np.int64), [])
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -283,19 +358,22 @@ class _Capture:
 
     def send(self, sent: Sequence[Sent], known_ns: int) -> None:
         """Write packets. All that leave before `known_ns` have come."""
+        found = [self._waiting]
         for one in sent:
             made = mount_frames(one.mount, one.payloads)
-            times = made.time_ns.tolist()
-            self._waiting += zip(times, [one.stream] * len(times), made.records, strict=True)
-        self._waiting.sort(key=lambda record: record[:2])
-        ready = next((n for n, (at, *_) in enumerate(self._waiting) if at >= known_ns), len(self._waiting))
-        self._file.write(b"".join(record for *_, record in self._waiting[:ready]))
-        del self._waiting[:ready]
+            found.append(_Records(made.time_ns, np.full(len(made.records), one.stream), made.records))
+        time_ns, stream = (np.concatenate(column) for column in list(zip(*found, strict=True))[:2])
+        records = list(chain.from_iterable(one.records for one in found))
+        order = np.lexsort((stream, time_ns))
+        ready = int(np.searchsorted(time_ns[order], known_ns))
+        self._file.write(b"".join([records[n] for n in order[:ready].tolist()]))
+        later = order[ready:]
+        self._waiting = _Records(time_ns[later], stream[later], [records[n] for n in later.tolist()])
 
-    def save_companions(self, duration_ns: int) -> None:
+    def save_companions(self, drive: Drive, duration_ns: int) -> None:
         """Write the files beside the capture, and remove those of an earlier one."""
-        save_sidecar_files(self._path, self._drive.rig.mounts)
-        inputs = ManifestInputs.of_rig(self._drive, duration_ns, self._path, DriveInputs())
+        save_sidecar_files(self._path, drive.rig.mounts)
+        inputs = ManifestInputs.of_rig(drive, duration_ns, self._path, DriveInputs())
         remove_outdated(inputs.outdated(self._path))
         inputs.save(self._path, self._on_warning)
 

@@ -172,9 +172,7 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "SceneDrive | None":
             f"{name} needs the objects of points; give the --truth that export wrote with the capture"
         )
     whole = name in FOLDERS or truth is not None
-    alone = "--rig takes the sensors' poses alone"
-    inputs = load_manifest(capture).inputs("export it again" if whole else alone)
-    if not inputs.scene:
-        wanted = "export with the scene's file" if whole else alone
-        raise ConfigError(f"{beside}: names no scene; {wanted}")
+    inputs = load_manifest(capture).inputs("export it again" if whole else "--rig takes the sensors' poses alone")
+    if whole and not inputs.scene:
+        raise ConfigError(f"{beside}: names no scene; export with the scene's file")
     return inputs.load()

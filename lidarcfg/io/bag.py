@@ -166,6 +166,8 @@ def dataset_messages(dataset: DriveDataset, where: Path, on_warning: OnWarning) 
                 yield TF, messages.transforms(vehicle, MAP, pose_ns), pose_ns
                 pose_ns += TF_STEP_NS
             yield _points(messages, scan, _fields(dataset, scan), name)
+            if not dataset.drive.scene.names:
+                continue
             boxes = dataset.boxes(scan)
             boxes = boxes if scan.object is None else boxes.with_returns()
             poses = [

@@ -25,6 +25,7 @@ SECOND = 2  # strongest, where the last is the strongest
 FIRST = 3
 NO_ELEVATIONS: Array = np.empty(0)
 NO_STARTS: Array = np.empty((0, 3))
+SKIPPED = 4096  # packets that are passed over at a time
 RETURN_TYPES = {  # of each firing's returns, by return mode
     "strongest": (STRONGEST,),
     "last": (LAST,),
@@ -207,10 +208,17 @@ class Timing(Protocol):
         """The packet rate and size of the mount."""
 
     def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
-        """The firings in the time of successive packets: a batch for each span of their numbers, from 0 on.
+        """The firings in the time of successive packets: a batch for each span of their numbers, from any on.
 
-        In a narrow field of view a batch has fewer packets.
+        In a narrow field of view a batch has fewer packets. What comes before the first span changes nothing but time.
         """
+
+    def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
+        """(L,) how often each laser fires before the packet with this number. Families that know it override this."""
+        fired = np.zeros(mount.sensor.count, np.int64)
+        for batch in self.schedule(mount, start_ns, spans(packet, SKIPPED)):
+            fired += np.bincount(batch.firings.laser, minlength=len(fired))
+        return fired
 
     def pattern(self, mount: Mount) -> Pattern | FramePattern:
         """Where the mount's lasers fire in a revolution, or in a frame: as in `schedule`, for any start."""

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from lidarcfg.geometry import Array, Flags
+from lidarcfg.geometry import Array, Flags, Times
 from lidarcfg.sensors.firing import FiringBatch, Firings, FramePattern, PacketPace, Timing
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.scan_pattern import ScanPattern
@@ -31,6 +31,11 @@ class PatternTiming(Timing):
             fired = firings(pattern, start_ns, *counts)
             yield FiringBatch(fired[in_view(mount, fired.encoder_rad)], number, start_ns + (number + 1) * period_ns)
 
+    def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
+        scan = mount.sensor.pattern
+        end = scan.count_before(packet * self.pace(mount).period_ns)
+        return fired_counts(scan, end, in_view(mount, scan.azimuth_rad))
+
     def pattern(self, mount: Mount) -> FramePattern:
         return FramePattern(mount.sensor.pattern)
 
@@ -44,6 +49,16 @@ def firings(pattern: ScanPattern, start_ns: int, first: int, end: int) -> Firing
         encoder_rad=pattern.azimuth_rad[rows],
         elevation_rad=pattern.elevation_rad[rows],
     )
+
+
+def fired_counts(pattern: ScanPattern, end: int, fires: Flags | None = None) -> Times:
+    """(L,) how often each channel is among the firings before number `end` of a pattern, or those (F,) that fire."""
+    periods, rest = divmod(end, len(pattern.channel))
+    channel, first = pattern.channel, pattern.channel[:rest]
+    if fires is not None:
+        channel, first = channel[fires], first[fires[:rest]]
+    whole, part = (np.bincount(some, minlength=pattern.channels) for some in (channel, first))
+    return np.asarray(periods * whole + part)
 
 
 def in_view(mount: Mount, azimuth_rad: Array) -> Flags:

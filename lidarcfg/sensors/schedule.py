@@ -11,7 +11,8 @@ import numpy as np
 from lidarcfg.core import packets as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Times
-from lidarcfg.sensors.firing import FiringBatch, Firings, PacketPace, Pattern, Timing, joined
+from lidarcfg.sensors.firing import SKIPPED, FiringBatch, Firings, PacketPace, Pattern, Timing, joined, spans
+from lidarcfg.sensors.pattern_timing import in_view
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import FIRING, Sensor
 from lidarcfg.units import MINUTE_NS, SECOND_NS
@@ -68,6 +69,12 @@ class SequenceTiming(Timing, Protocol):
     def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
         return batches(self.firing_schedule(mount), mount, start_ns, spans)
 
+    def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
+        schedule = self.firing_schedule(mount)
+        azimuths = azimuths_before(schedule, mount, start_ns, packet)
+        packets = azimuths * schedule.per_azimuth // schedule.sequences
+        return np.full(mount.sensor.count, packets * schedule.sequences)
+
     def pattern(self, mount: Mount) -> Pattern:
         return pattern(self.firing_schedule(mount), mount)
 
@@ -116,14 +123,21 @@ def firings(
 
     With a phase lock the head points to `phase_deg` at each whole second instead.
     """
+    time_ns, encoder_rad = _turned(schedule, schedule.offsets_ns.ravel(), rpm, start_ns, packets, phase_deg)
+    laser = np.tile(np.arange(len(schedule.offset_ns), dtype=np.uint8), time_ns.size // len(schedule.offset_ns))
+    return Firings(time_ns.ravel(), laser, encoder_rad.ravel())
+
+
+def _turned(
+    schedule: FiringSchedule, offset_ns: Times, rpm: float, start_ns: int, packets: range, phase_deg: float | None
+) -> tuple[Times, Array]:
+    """Times (P, K) so long (K,) after the stamps of packets, and where the head points then."""
     begun = revolutions(rpm, schedule.period_ns, start_ns, packets, phase_deg)
     stamp_ns = start_ns + np.array(packets, np.int64) * schedule.period_ns
-    offset_ns = schedule.offsets_ns.ravel()
     time_ns = np.empty((len(stamp_ns), len(offset_ns)), np.int64)
     encoder_rad = np.empty(time_ns.shape)
     core.fire(begun, stamp_ns, offset_ns, rpm / MINUTE_NS, time_ns, encoder_rad)
-    laser = np.tile(np.arange(len(schedule.offset_ns), dtype=np.uint8), time_ns.size // len(schedule.offset_ns))
-    return Firings(time_ns.ravel(), laser, encoder_rad.ravel())
+    return time_ns, encoder_rad
 
 
 def revolutions(rpm: float, period_ns: int, start_ns: int, packets: range, phase_deg: float | None) -> Array:
@@ -147,19 +161,51 @@ def batches(schedule: FiringSchedule, mount: Mount, start_ns: int, spans: Iterab
     With a field of view, only the sequences whose azimuth is within it are fired. Packets are filled with them across
     the gap, as in a recording of a VLP-32C; firings that do not fill a packet are not sent.
     """
-    lasers = len(schedule.offset_ns)
-    rest = firings(schedule, mount.rpm, start_ns, range(0))
-    sent = 0
+    per_packet = schedule.sequences * len(schedule.offset_ns)
+    begun = False
     for numbers in spans:
-        fired = firings(schedule, mount.rpm, start_ns, numbers, mount.phase_deg)
+        if not begun:
+            sent, rest = _left_before(schedule, mount, start_ns, numbers.start)
+            begun = True
+        fired = _fired_in_view(schedule, mount, start_ns, numbers)
         if mount.azimuth_fov_deg is not None:
-            low, high = mount.azimuth_fov_deg
-            width = (high - low) % 360 or 360  # from 0 to 360 is all around
-            inside = (np.degrees(schedule.head_rad(fired)) - low) % 360 <= width
-            fired = joined([rest, fired[np.repeat(inside.ravel(), schedule.per_azimuth * lasers)]])
-            full = len(fired.time_ns) // (schedule.sequences * lasers) * schedule.sequences * lasers
+            fired = joined([rest, fired])
+            full = len(fired.time_ns) // per_packet * per_packet
             rest = fired[full:]
             fired = fired[:full]
         _, ends_ns = schedule.stamps_ns(fired)
         yield FiringBatch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000, first=sent)
         sent += len(ends_ns)
+
+
+def azimuths_before(schedule: FiringSchedule, mount: Mount, start_ns: int, packet: int) -> int:
+    """The number of azimuths in view before a packet, of which some sequences share each."""
+    if mount.azimuth_fov_deg is None:
+        return packet * schedule.sequences // schedule.per_azimuth
+    heads_ns = schedule.offsets_ns[:: schedule.per_azimuth, int(np.argmin(schedule.offset_ns))].copy()
+    found = 0
+    for numbers in spans(packet, SKIPPED):
+        _, head_rad = _turned(schedule, heads_ns, mount.rpm, start_ns, numbers, mount.phase_deg)
+        found += int(np.count_nonzero(in_view(mount, head_rad)))
+    return found
+
+
+def _left_before(schedule: FiringSchedule, mount: Mount, start_ns: int, packet: int) -> tuple[int, Firings]:
+    """How many packets are sent before the one with a number, and the firings that fill none of them."""
+    azimuths = azimuths_before(schedule, mount, start_ns, packet)
+    sent, left = divmod(azimuths, schedule.sequences // schedule.per_azimuth)
+    rest = firings(schedule, mount.rpm, start_ns, range(0))
+    count = left * schedule.per_azimuth * len(schedule.offset_ns)
+    while len(rest.time_ns) < count:
+        packet -= 1
+        rest = joined([_fired_in_view(schedule, mount, start_ns, range(packet, packet + 1)), rest])
+    return sent, rest[len(rest.time_ns) - count :]
+
+
+def _fired_in_view(schedule: FiringSchedule, mount: Mount, start_ns: int, packets: range) -> Firings:
+    """The firings of the packets with these numbers whose azimuth is in the field of view."""
+    fired = firings(schedule, mount.rpm, start_ns, packets, mount.phase_deg)
+    if mount.azimuth_fov_deg is None:
+        return fired
+    inside = in_view(mount, schedule.head_rad(fired))
+    return fired[np.repeat(inside.ravel(), schedule.per_azimuth * len(schedule.offset_ns))]

@@ -1,3 +1,4 @@
+from .caster import Caster as Caster
 from .drive import Drive as Drive
 from .drive import RayBatch as RayBatch
 from .scans import simulated_scans as simulated_scans

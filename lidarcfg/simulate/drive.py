@@ -4,9 +4,10 @@ Whoever has one casts the rays of `Drive.firings`, and gives what they hit to `l
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import chain, count, pairwise
+from functools import cached_property
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -18,18 +19,17 @@ from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.packets.families import timing
-from lidarcfg.sensors.firing import FiringBatch, Timing, spans
+from lidarcfg.sensors.firing import FiringBatch, Timing
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
 from lidarcfg.sensors.sensor import Range
 from lidarcfg.simulate.aim import aim
 from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
 from lidarcfg.world.geodesy import GeoOrigin
-from lidarcfg.world.motion import Trajectory, are_poses, load_path
+from lidarcfg.world.motion import EDGE_S, Trajectory, are_poses, load_path
 
 ANYWHERE = GeoOrigin()
 STEP_S = 0.1
 EDGE = 1e-9  # of a step, by which sums of steps may miss the end
-SKIPPED = 4096  # packets that are left out at a time
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,15 @@ class SensorTimeline:
         """The number of packets that are complete so long after the start."""
         return max(after_ns, 0) // self.timing.pace(self.mount).period_ns
 
-    def fired(self, packets: Iterable[range]) -> Iterator["FiredPackets"]:
-        """The firings of successive spans of packets."""
-        first = 0
+    def fired(self, packets: Iterable[range], first: int = 0) -> Iterator["FiredPackets"]:
+        """The firings of successive spans of packets, before which so many firings come."""
         for batch in self.timing.schedule(self.mount, self.start_ns, packets):
             yield FiredPackets(self, batch, first)
             first += len(batch.firings.time_ns)
+
+    def fired_before(self, packet: int) -> Times:
+        """(L,) how often each laser fires before the packet with this number."""
+        return self.timing.fired_before(self.mount, self.start_ns, packet)
 
 
 @dataclass(frozen=True)
@@ -101,19 +104,65 @@ def trajectory_of(at: Array | Trajectory | None, path: str | Path | None, start_
     return Trajectory(np.eye(4) if at is None else at, load_path(path), start_ns)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RayBatch:
-    """N firings of a rig's sensors as rays: sensor by sensor, of each in the order of its packets."""
+    """N firings of a rig's sensors as rays: sensor by sensor, of each in the order of its packets.
 
-    origins_m: Array  # (N, 3)
-    directions: Array  # (N, 3) unit vectors
-    time_ns: Times  # (N,) when each is fired
-    sensor: NDArray[np.uint16]  # (N,) its number in the rig
-    channel: Bytes  # (N,) of the sensor, from 0
-    column: Times  # (N,) how often this channel has fired before, since the drive's start
+    Its columns are computed when they are first asked for.
+    """
+
+    packets: tuple[FiredPackets, ...]  # of each sensor
+    fired_before: tuple[Times, ...]  # by sensor: (L,) how often each channel has fired before the batch
     start_s: float  # since the drive's start
     end_s: float  # all packets that are complete by then are in this batch or in one before
-    packets: tuple[FiredPackets, ...]  # of each sensor, for the writer
+    trajectory: Trajectory | None  # that places the rays in the world; None: they are in the vehicle's frame
+
+    def __len__(self) -> int:
+        return sum(len(one.batch.firings.time_ns) for one in self.packets)
+
+    @property
+    def origins_m(self) -> Array:
+        """(N, 3)."""
+        return self._beams[0]
+
+    @property
+    def directions(self) -> Array:
+        """(N, 3) unit vectors."""
+        return self._beams[1]
+
+    @cached_property
+    def time_ns(self) -> Times:
+        """(N,) when each is fired."""
+        return np.concatenate([one.batch.firings.time_ns for one in self.packets])
+
+    @cached_property
+    def sensor(self) -> NDArray[np.uint16]:
+        """(N,) its number in the rig."""
+        counts = [len(one.batch.firings.time_ns) for one in self.packets]
+        return np.repeat(np.arange(len(counts), dtype=np.uint16), counts)
+
+    @cached_property
+    def channel(self) -> Bytes:
+        """(N,) of the sensor, from 0."""
+        return np.concatenate([one.batch.firings.laser for one in self.packets])
+
+    @cached_property
+    def column(self) -> Times:
+        """(N,) how often this channel has fired before, since the drive's start."""
+        pairs = zip(self.packets, self.fired_before, strict=True)
+        return np.concatenate([_columns(one.batch.firings.laser, before) for one, before in pairs])
+
+    @cached_property
+    def head_rad(self) -> Array:
+        """(N,) where the sensor's head points, 0 to 2π, clockwise; of a scan pattern, the beam's azimuth."""
+        return np.concatenate([one.batch.firings.encoder_rad for one in self.packets])
+
+    @cached_property
+    def _beams(self) -> tuple[Array, Array]:
+        moving = self.trajectory or Trajectory.static(np.eye(4))
+        axes = [aim(one.sensor.mount, moving, one.batch.firings) for one in self.packets]
+        origins_m, directions = (np.concatenate(column) for column in zip(*axes, strict=True))
+        return origins_m, directions
 
 
 class Drive:
@@ -147,6 +196,20 @@ class Drive:
         self.origin = origin
         self.sensors = tuple(timelines(self.rig, start_ns))
 
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """From when to when there are poses; without timed ones, from 0 to inf."""
+        poses_s = self.trajectory.path.times_s
+        if not len(poses_s):
+            return 0.0, math.inf
+        first_s, last_s = (poses_s[[0, -1]] + (self.trajectory.zero_ns - self.start_ns) / SECOND_NS).tolist()
+        return first_s, last_s - max(self.late_ns / SECOND_NS - EDGE_S, 0)
+
+    @property
+    def late_ns(self) -> int:
+        """How long after the first the last sensor starts."""
+        return max(sensor.start_ns for sensor in self.sensors) - self.start_ns
+
     def firings(
         self,
         start_s: float = 0.0,
@@ -154,18 +217,27 @@ class Drive:
         step_s: float = STEP_S,
         frame: Literal["world", "vehicle"] = "world",
     ) -> Iterator[RayBatch]:
-        """The firings of all packets that are complete within a time, a batch for each step; endless without an end.
+        """The firings of all packets that are complete within a time, a batch for each step.
 
-        Rays are in the frame of the world, from where the vehicle is at each firing; or in the vehicle's.
-        Raises LidarcfgError for times that are none, and outside timed poses.
+        Without an end they go on as long as there are poses; for ever, if these have no times. Rays are in the frame
+        of the world, from where the vehicle is at each firing; or in the vehicle's, which needs no poses.
+        Raises LidarcfgError for times that are none, and outside `span_s`.
         """
         _check_times(start_s, end_s, step_s)
         if frame not in ("world", "vehicle"):
             raise LidarcfgError(f"frame is {frame!r}; allowed: world, vehicle")
-        trajectory = self.trajectory if frame == "world" else Trajectory.static(np.eye(4))
+        if frame == "world":
+            first_s, last_s = self.span_s
+            until_s = start_s if end_s == math.inf else end_s
+            if not first_s - EDGE_S <= start_s <= until_s <= last_s + EDGE * step_s:
+                what = f"firings from {start_s:g} to {end_s:g} s; allowed: from {first_s:g} to {last_s:g} s"
+                raise LidarcfgError(f"{what}, as the trajectory has poses")
+            end_s = min(end_s, last_s)
+        trajectory = self.trajectory if frame == "world" else None
         streams = [_stream(sensor, start_s, end_s, step_s) for sensor in self.sensors]
         for (begin_s, until_s), *parts in zip(pairwise(_edges_s(start_s, end_s, step_s)), *streams, strict=False):
-            yield _rays(parts, trajectory, begin_s, until_s)
+            packets, before = zip(*parts, strict=True)
+            yield RayBatch(packets, before, begin_s, until_s, trajectory)
 
 
 def _check_times(start_s: float, end_s: float, step_s: float) -> None:
@@ -189,42 +261,20 @@ def _edges_s(start_s: float, end_s: float, step_s: float) -> Iterator[float]:
 def _stream(
     sensor: SensorTimeline, start_s: float, end_s: float, step_s: float
 ) -> Iterator[tuple[FiredPackets, Times]]:
-    """The firings of a sensor in each step, and (N,) how often the channel of each has fired before."""
+    """The firings of a sensor in each step, and (L,) how often each of its channels has fired before them."""
     counts = (sensor.packets(round(at_s * SECOND_NS)) for at_s in _edges_s(start_s, end_s, step_s))
-    before = spans(sensor.packets(round(start_s * SECOND_NS)), SKIPPED)
+    before = sensor.fired_before(sensor.packets(round(start_s * SECOND_NS)))
     steps = (range(first, end) for first, end in pairwise(counts))
-    fired_before = np.zeros(sensor.mount.sensor.count, np.int64)
-    for number, fired in enumerate(sensor.fired(chain(before, steps))):
-        columns = _columns(fired.batch.firings.laser, fired_before)
-        if number >= len(before):
-            yield fired, columns
-
-
-def _rays(
-    parts: Sequence[tuple[FiredPackets, Times]], trajectory: Trajectory, begin_s: float, until_s: float
-) -> RayBatch:
-    packets, columns = zip(*parts, strict=True)
-    firings = [part.batch.firings for part in packets]
-    axes = [aim(part.sensor.mount, trajectory, some) for part, some in zip(packets, firings, strict=True)]
-    return RayBatch(
-        origins_m=np.concatenate([origins_m for origins_m, _ in axes]),
-        directions=np.concatenate([directions for _, directions in axes]),
-        time_ns=np.concatenate([one.time_ns for one in firings]),
-        sensor=np.repeat(np.arange(len(packets), dtype=np.uint16), [len(one.time_ns) for one in firings]),
-        channel=np.concatenate([one.laser for one in firings]),
-        column=np.concatenate(columns),
-        start_s=begin_s,
-        end_s=until_s,
-        packets=packets,
-    )
+    for fired in sensor.fired(steps, int(before.sum())):
+        yield fired, before
+        before = before + np.bincount(fired.batch.firings.laser, minlength=len(before))
 
 
 def _columns(laser: Bytes, fired_before: Times) -> Times:
-    """(N,) how often each laser has fired before, of which (L,) are counted on."""
+    """(N,) how often each laser has fired before, if it has fired so often (L,) before the first."""
     order = np.argsort(laser, kind="stable")
     counts = np.bincount(laser, minlength=len(fired_before))
     starts = np.cumsum(counts) - counts
     columns = np.empty(len(laser), np.int64)
     columns[order] = np.arange(len(laser)) + np.repeat(fired_before - starts, counts)
-    fired_before += counts
     return columns

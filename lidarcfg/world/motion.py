@@ -16,7 +16,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, product, rotated, rotation, rotation_vectors, transform
 from lidarcfg.inputs import read_regular
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, START_NS
 
 TUM = ".tum"  # text lines of time_s x y z qx qy qz qw, as the TUM RGB-D benchmark defined and evo reads them
 TUM_ROW = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -184,7 +184,7 @@ class Trajectory:
         return cls(T_world_vehicle, build_path(STATIC), 0)
 
     @classmethod
-    def from_poses(cls, times_s: Array, T_world_vehicle: Array, zero_ns: int) -> "Trajectory":
+    def from_poses(cls, times_s: Array, T_world_vehicle: Array, zero_ns: int = START_NS) -> "Trajectory":
         """The trajectory through poses (K, 4, 4) at times (K,), in seconds since `zero_ns`, as a .tum file has it.
 
         Raises ConfigError for fewer than two, for times that do not ascend and for poses that are not rigid.

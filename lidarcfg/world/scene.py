@@ -130,6 +130,21 @@ def load_scene(given: Given) -> Scene:
     return replace(build_scene(file, path), path=None if isinstance(given, Mapping) else path)
 
 
+def no_scene() -> Scene:
+    """A scene in which there is nothing to hit."""
+    vertices_m, triangles = NO_MESH
+    return Scene(
+        file=SceneFile(name="nothing"),
+        names=(),
+        reflectivity=np.empty(0, np.uint8),
+        vertices_m=vertices_m,
+        triangles=triangles,
+        triangle_object=np.empty(0, np.int32),
+        motions=(),
+        places_m=np.empty((0, 3)),
+    )
+
+
 def files_of(file: Model, folder: Path) -> list[Path]:
     """The files that a scene or a vehicle in a folder names, with those that these need."""
     paths = [folder / item.file for kind in FILES for item in getattr(file, kind, ()) if isinstance(item.file, str)]

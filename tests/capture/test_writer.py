@@ -8,8 +8,10 @@ import numpy as np
 import open3d
 import pytest
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from scipy.spatial.transform import Rotation
 
-from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.decode import decode, decode_pcap
 from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.manifest import load_manifest
 from lidarcfg.capture.pcap import read_datagrams, write_pcap
@@ -133,6 +135,101 @@ def test_the_capture_has_what_decoding_needs_beside_it(tmp_path):
     assert (drawn.intensity[order] == decoded.intensity[same]).all()
 
 
+def turning(seconds) -> np.ndarray:
+    """Poses (K, 4, 4) of a vehicle that speeds up, turns and pitches."""
+    T = np.tile(np.eye(4), (len(seconds), 1, 1))
+    T[:, :3, :3] = Rotation.from_euler("zy", np.column_stack([seconds**2, 0.1 * np.sin(3 * seconds)])).as_matrix()
+    T[:, :3, 3] = np.column_stack([2 * seconds**2, np.sin(seconds), 0.3 + 0 * seconds])
+    return T
+
+
+def beyond(at_s, seconds, T):
+    """The pose (4, 4) of a vehicle that moves on as from the first of two poses to the second."""
+    part = (at_s - seconds[0]) / (seconds[1] - seconds[0])
+    out = np.eye(4)
+    out[:3, 3] = T[0, :3, 3] + part * (T[1, :3, 3] - T[0, :3, 3])
+    first, second = Rotation.from_matrix(T[:, :3, :3])
+    out[:3, :3] = (first * Rotation.from_rotvec(part * (first.inv() * second).as_rotvec())).as_matrix()
+    return out
+
+
+@pytest.mark.parametrize(("start_s", "end_s"), [(0.0, 0.3), (1.3, 2.1)])
+def test_poses_of_a_simulator_are_those_of_the_manifest_and_of_all_other_packets(tmp_path, start_s, end_s):
+    """Beside a drive that knows all poses from the start, with those at the ends as between the two next to them."""
+    rig = rig_of("vlp-16", "airy", "mid-360")
+    drive = Drive(rig)
+    step_s = 0.02
+    batches = list(drive.firings(start_s, end_s, step_s, frame="vehicle"))
+    middles_s = np.array([(rays.start_s + rays.end_s) / 2 for rays in batches])
+    T = turning(middles_s)
+    with Writer(drive, tmp_path / "a.pcap") as writer:
+        for rays, pose in zip(batches, T, strict=True):
+            writer.write(rays, np.full(len(rays), 5.0), 40, pose)
+    motion = load_manifest(tmp_path / "a.pcap").motion()
+    for at_s, pose in zip(middles_s, T, strict=True):
+        np.testing.assert_allclose(motion.pose(START_NS + round(at_s * SECOND_NS)), pose, rtol=0, atol=1e-6)
+
+    ends_s = max(start_s - 1, 0), end_s + drive.late_ns / SECOND_NS
+    ends = beyond(ends_s[0], middles_s[:2], T[:2]), beyond(ends_s[1], middles_s[-2:], T[-2:])
+    times_s = np.array([ends_s[0], *middles_s, ends_s[1]])
+    known = Drive(rig, Trajectory.from_poses(times_s, np.array([ends[0], *T, ends[1]])))
+    with Writer(known, tmp_path / "b.pcap") as writer:
+        for rays in known.firings(start_s, end_s, step_s):
+            writer.write(rays, np.full(len(rays), 5.0), 40)
+    ours, theirs = (list(read_datagrams(tmp_path / name, no_warning)) for name in ("a.pcap", "b.pcap"))
+    assert ours == theirs
+    with Writer(drive, tmp_path / "c.pcap") as writer:
+        for rays in batches:
+            writer.write(rays, np.full(len(rays), 5.0), 40)
+    standing = [one.payload for one in read_datagrams(tmp_path / "c.pcap", no_warning)]
+    assert 50 < sum(one.payload != other for one, other in zip(ours, standing, strict=True)) < len(ours) / 2
+
+
+def test_with_poses_a_wall_of_the_world_is_one(tmp_path):
+    """The wall x = 9, hit from each batch's pose: in the cloud exactly; deskewed, but for half a step of the motion."""
+    drive = Drive(rig_of("vlp-16", "mid-360"))
+    with Writer(drive, tmp_path / "a.pcap", tmp_path / "a.ply") as writer:
+        for rays in drive.firings(0.1, 0.3, 0.01, "vehicle"):
+            (T,) = turning(np.array([(rays.start_s + rays.end_s) / 2]))
+            starts, ways = rays.origins_m @ T[:3, :3].T + T[:3, 3], rays.directions @ T[:3, :3].T
+            range_m = np.where(ways[:, 0] > 0.2, (9 - starts[:, 0]) / ways[:, 0], np.inf)
+            writer.write(rays, range_m, 40, T)
+    drawn = load_cloud(tmp_path / "a.ply", no_warning)
+    assert len(drawn.xyz) > 20_000
+    np.testing.assert_allclose(drawn.xyz[:, 0], 9, rtol=0, atol=1e-9)
+    decoded = decode(tmp_path / "a.pcap", deskew=True)
+    assert len(decoded.xyz) == len(drawn.xyz)
+    assert np.abs(decoded.xyz[:, 0] - 9).max() < 0.005 * (1.2 + 0.6 * 45) + 0.01
+
+
+def test_one_pose_is_where_the_vehicle_stands(tmp_path):
+    drive = Drive(rig_of("mid-360"))
+    pose = turning(np.array([0.7]))[0]
+    with Writer(drive, tmp_path / "a.pcap") as writer:
+        for rays in drive.firings(0, 0.1, frame="vehicle"):
+            writer.write(rays, np.full(len(rays), 5.0), 40, pose.astype(np.float32))
+    np.testing.assert_allclose(load_manifest(tmp_path / "a.pcap").motion().pose(START_NS), pose, rtol=0, atol=1e-6)
+
+
+def test_poses_that_cannot_be_are_said(tmp_path):
+    rig = rig_of("vlp-16")
+
+    def wrong(message, drive, frame, poses):
+        with refused(message), Writer(drive, tmp_path / "a.pcap") as writer:
+            for rays, pose in zip(drive.firings(0, 0.02, 0.01, frame), poses, strict=True):
+                writer.write(rays, np.ones(len(rays)), 1, pose)
+
+    still = Drive(rig)
+    wrong(
+        "pose is none; allowed: T_world_vehicle (4, 4), a rotation and a shift", still, "vehicle", [2 * np.eye(4)] * 2
+    )
+    wrong("pose is given for rays in the world; allowed: for ", still, "world", [np.eye(4)] * 2)
+    wrong("pose is given for a drive that moves; allowed: for ", Drive(rig, driven()), "vehicle", [np.eye(4)] * 2)
+    wrong("no pose; allowed: one with each batch, or none at all", still, "vehicle", [np.eye(4), None])
+    wrong("a pose is given, but none with the batches before; allowed: ", still, "vehicle", [None, np.eye(4)])
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_another_library_casts_the_rays(tmp_path):
     """Open3D's RaycastingScene and a wall: all points are on it; nothing is NaN or inf on the wire."""
     wall = open3d.t.geometry.TriangleMesh.create_box(0.1, 40, 40).translate([5, -20, -20])
@@ -203,16 +300,27 @@ def test_after_an_error_nothing_is_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_capture_without_a_scene_becomes_a_bag_by_its_rig(tmp_path):
-    """KITTI needs a scene."""
-    written(tmp_path / "a.pcap", rig_of("os1-32", "vlp-16"), 0.2, 0.1, driven())
-    alone = "a.pcap.yaml: names no scene; --rig takes the sensors' poses alone"
-    assert alone in lidarcfg("convert", "a.pcap", "-o", "a.mcap", cwd=tmp_path, code=2).stderr
-    lidarcfg("convert", "a.pcap", "-o", "a.mcap", "--rig", "a.pcap.rig.yaml", cwd=tmp_path)
+def test_a_capture_without_a_scene_becomes_a_bag_with_its_motion(tmp_path):
+    """Read by mcap's own reader: the vehicle is where the arc is, and its sensors where the rig has them."""
+    rig = rig_of("os1-32", "vlp-16")
+    written(tmp_path / "a.pcap", rig, 0.2, 0.1, driven())
+    lidarcfg("convert", "a.pcap", "-o", "a.mcap", cwd=tmp_path)
     with open(tmp_path / "a.mcap", "rb") as file:
-        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
-    assert "/tf_static" in topics
-    assert any("s0" in topic for topic in topics)
+        found = list(make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
+    topics = {channel.topic for _, channel, _, _ in found}
+    assert topics == {"/tf_static", "/tf", "/s0/points", "/s1/points"}
+    (fixed,) = (message for _, channel, _, message in found if channel.topic == "/tf_static")
+    for transform, mount in zip(fixed.transforms, rig.mounts, strict=True):
+        place = transform.transform.translation
+        assert (place.x, place.y, place.z) == pytest.approx(mount.position_m)
+    moved = [message.transforms[0] for _, channel, _, message in found if channel.topic == "/tf"]
+    assert len(moved) == 20
+    rate_rad_s = np.radians(30)
+    for one in moved:
+        turned_rad = rate_rad_s * (one.header.stamp.sec - START_NS // SECOND_NS + one.header.stamp.nanosec / SECOND_NS)
+        place = one.transform.translation
+        assert place.x == pytest.approx(8 / rate_rad_s * np.sin(turned_rad), abs=1e-6)
+        assert place.y == pytest.approx(8 / rate_rad_s * (1 - np.cos(turned_rad)), abs=1e-6)
     words = "convert", "a.pcap", "-o", "kitti", "--to", "kitti-odometry", "--truth", "x.npz"
     assert "a.pcap.yaml: names no scene; export with" in lidarcfg(*words, cwd=tmp_path, code=2).stderr
 
@@ -272,7 +380,8 @@ def test_wrong_ranges_are_said(tmp_path):
             writer.write(rays, range_m, intensity)
 
     wrong(f"ranges_m is of shape ({count}, 3); allowed: ({count},), ({count}, 1) and ({count}, 2)", np.ones((count, 3)))
-    wrong(f"intensity is of shape (), not of that of ranges_m, ({count},)", intensity=1)
+    wrong(f"intensity is of shape (1,); allowed: a number, or ({count},) as ranges_m", intensity=np.ones(1))
+    wrong("intensity has 256 for ray 0; allowed: 0 to 255", intensity=256)
     wrong(
         "2 returns of a ray of s0; allowed: 1, as its return mode is strongest",
         np.ones((count, 2)),

@@ -131,10 +131,11 @@ def test_what_a_manifest_lacks_is_said(tmp_path):
     assert lidarcfg.decode(out).sensor_names == ("left", "right")
     (tmp_path / "scene.yaml").write_text("name: another\nground: {}\n")
     lidarcfg.export(rig, scene, out, 0.002, on_warning=told.append)
-    assert told == [f"{manifest}: names no scene, which is in no file; view and convert need it"]
+    assert told == [f"{manifest}: names no scene, which is in no file; view needs it, and convert to data sets"]
     assert lidarcfg.decode(out).sensor_names == ("left", "right")
-    done = command_line.lidarcfg("convert", out, "-o", tmp_path / "a.mcap", code=2)
-    assert "a.pcap.yaml: names no scene; --rig takes the sensors' poses alone" in done.stderr
+    truth = "--to", "kitti-object", "--truth", tmp_path / "a.npz"
+    done = command_line.lidarcfg("convert", out, "-o", tmp_path / "kitti", *truth, code=2)
+    assert "a.pcap.yaml: names no scene; export with the scene's file" in done.stderr
     for given, at, what in (
         (replace(rig, mounts=(own,)), None, "sensors of the rig are in no file"),
         (rig, np.diag([1.0, -1, 1, 1]), "the vehicle's pose is not rigid"),

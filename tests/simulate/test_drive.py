@@ -69,6 +69,18 @@ def test_columns_count_how_often_a_channel_has_fired():
     assert max(before.values()) > 100
 
 
+@pytest.mark.parametrize(("model", "keys", "steps"), [("qt128", {}, 900), ("ot128", {"resolution": "high"}, 3600)])
+def test_the_head_places_channels_that_rest_in_a_range_image(model, keys, steps):
+    """Steps of 0.4 and 0.1 degrees at 10 Hz, as Hesai says; half of the channels fire at each, the others at half."""
+    mount = {"name": "top", "model": model, "position_m": [0, 0, 2], "hesai": keys}
+    (rays,) = Drive({"name": "one", "sensors": [mount]}).firings(0, 0.1, 0.1)
+    image = np.zeros((128, steps), np.int64)
+    np.add.at(image, (rays.channel, np.rint(rays.head_rad / (2 * np.pi) * steps).astype(int) % steps), 1)
+    assert image.max() == 1
+    lonely = steps - image.sum(axis=1)
+    assert sorted(np.round(lonely / steps, 2).tolist()) == [0] * 64 + [0.5] * 64
+
+
 @pytest.mark.parametrize("step_s", [0.0013, 0.05])
 def test_steps_divide_the_firings_and_lose_none(step_s):
     drive = Drive(RIG)
@@ -86,6 +98,40 @@ def test_without_an_end_there_are_always_more():
     steps = Drive(RIG).firings(step_s=0.01)
     assert [round(next(steps).end_s, 9) for _ in range(5)] == [0.01, 0.02, 0.03, 0.04, 0.05]
     assert [rays.end_s for rays in Drive(RIG).firings(0, 0.03, 0.01)] == [0.01, 0.02, 0.03]
+
+
+@pytest.mark.parametrize("models", [["vlp-16", "mid-360"], ["os0-32"] * 6])
+def test_firings_end_where_poses_end(models):
+    """The last of six OS0 starts later than a pose may be missing."""
+    sensors = [{"name": f"s{n}", "model": model, "position_m": [0, 0, n]} for n, model in enumerate(models)]
+    drive = Drive({"name": "many", "sensors": sensors}, moving())
+    late_ns = max(sensor.start_ns for sensor in drive.sensors) - START_NS
+    assert drive.span_s == (0.0, 1.0 if len(models) == 2 else pytest.approx(1.001 - late_ns / SECOND_NS, abs=1e-12))
+    steps = list(drive.firings(0.75, step_s=0.1))
+    assert [rays.end_s for rays in steps] == pytest.approx([0.85, 0.95, drive.span_s[1]])
+    last_ns = max(int(rays.time_ns.max()) for rays in steps)
+    assert 0.99 < (last_ns - START_NS) / SECOND_NS <= 1.001
+    assert np.isfinite(steps[-1].origins_m).all()
+    assert [rays.end_s for rays in Drive(RIG).firings(0, 0.03, 0.01)] == [0.01, 0.02, 0.03]
+    first = next(drive.firings(step_s=2, frame="vehicle"))
+    assert first.end_s == 2
+
+
+@pytest.mark.parametrize("late_s", [0.033, 3.0])
+def test_a_late_start_changes_nothing_but_what_comes_before(late_s):
+    """A narrow view, an open one, a scan pattern; against the same drive from its start on."""
+    sensors = [{**RIG["sensors"][0], "name": "narrow", "azimuth_fov_deg": [10, 70]}, *RIG["sensors"]]
+    drive = Drive({"name": "three", "sensors": sensors})
+    *_, whole = drive.firings(0, late_s + 0.01, late_s)
+    (part,) = drive.firings(late_s, late_s + 0.01)
+    assert whole.start_s == part.start_s
+    assert len(part) > 1000
+    for key in ("time_ns", "sensor", "channel", "column", "head_rad", "origins_m", "directions"):
+        assert (getattr(whole, key) == getattr(part, key)).all()
+    for one, other in zip(whole.packets, part.packets, strict=True):
+        assert one.first == other.first
+        assert one.batch.first == other.batch.first
+        assert one.batch.number.tolist() == other.batch.number.tolist()
 
 
 @pytest.mark.parametrize("name", sorted(catalogue()))
@@ -116,6 +162,34 @@ def test_spans_of_packets_are_parts_of_the_whole(name):
     assert len(whole[0].number)
 
 
+@pytest.mark.parametrize("narrow", [False, True])
+@pytest.mark.parametrize("name", sorted(catalogue()))
+def test_a_schedule_may_start_anywhere(name, narrow):
+    """The packets from a number on are the last of all, and the firings before it are counted one by one."""
+    mount = load_rig({"name": "a", "sensors": [one(name)]}).mounts[0]
+    if narrow:
+        keys = {"azimuth_fov_deg": [20, 55]}
+        if not mount.sensor.scan_pattern:
+            keys |= {"rpm": 600, "phase_deg": 77}
+        mount = load_rig({"name": "a", "sensors": [one(name, **keys)]}).mounts[0]
+    when = timing(mount.sensor)
+    total = min(SECOND_NS // 5 // when.pace(mount).period_ns, 2000)
+    start_ns = START_NS + 123_457
+    (whole,) = when.schedule(mount, start_ns, [range(total)])
+    for late in np.random.default_rng(len(name)).integers(1, total, size=4).tolist():
+        (part,) = when.schedule(mount, start_ns, [range(late, total)])
+        before = len(whole.number) - len(part.number)
+        if len(part.number):
+            assert part.first == whole.first + before
+        assert part.number.tolist() == whole.number[before:].tolist()
+        assert part.sent_ns.tolist() == whole.sent_ns[before:].tolist()
+        fired = len(whole.firings.time_ns) - len(part.firings.time_ns)
+        for key in ("time_ns", "laser", "encoder_rad"):
+            assert (getattr(part.firings, key) == getattr(whole.firings, key)[fired:]).all()
+        counted = np.bincount(whole.firings.laser[:fired], minlength=mount.sensor.count)
+        assert when.fired_before(mount, start_ns, late).tolist() == counted.tolist()
+
+
 def test_what_is_no_drive_is_said():
     drive = Drive(RIG)
     with refused("firings from nan to inf s; allowed: from 0 on, to a later time"):
@@ -134,5 +208,7 @@ def test_what_is_no_drive_is_said():
     for start_ns in (-1, 1.5, 2**62):
         with refused(f"start_ns is {start_ns}; allowed: whole, from 0 to below 4294967296000000000"):
             Drive(RIG, start_ns=start_ns)
-    with refused("a pose is needed at 0.999309 to 1.09882 s; the timed poses cover 0 to 1 s"):
-        list(Drive(RIG, moving()).firings(1.0, 1.1))
+    for start_s, end_s in ((1.0, 1.1), (1.1, math.inf)):
+        said = f"firings from {start_s:g} to {end_s:g} s; allowed: from 0 to 1 s, as the trajectory has poses"
+        with refused(said):
+            next(Drive(RIG, moving()).firings(start_s, end_s))

@@ -18,7 +18,7 @@ from lidarcfg.packets.emx.layout import MODES, MSOP, MSOP_ID, ROWS, bytes_of, pa
 from lidarcfg.packets.emx.model import EmxFacts, EmxUnit, batches, unit
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.sensors.firing import FiringBatch, PacketPace
-from lidarcfg.sensors.pattern_timing import PatternTiming, in_view
+from lidarcfg.sensors.pattern_timing import PatternTiming, fired_counts, in_view
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 
@@ -51,6 +51,9 @@ class Emx(PatternTiming, Codec):
 
     def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
         return batches(self.unit, mount.dual, start_ns, spans)
+
+    def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
+        return fired_counts(self.unit.sensor.pattern, packet * self.pace(mount).firings)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """Out of the field of view there are no returns."""

@@ -19,7 +19,16 @@ from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.hesai import decode, encode, report, telemetry
 from lidarcfg.packets.hesai.emulator import HesaiEmulator, emulated
 from lidarcfg.packets.hesai.layout import bytes_of, device_time_ns
-from lidarcfg.packets.hesai.model import HesaiFacts, HesaiSettings, HesaiUnit, batches, turning, unit, unit_of
+from lidarcfg.packets.hesai.model import (
+    HesaiFacts,
+    HesaiSettings,
+    HesaiUnit,
+    batches,
+    sent_before,
+    turning,
+    unit,
+    unit_of,
+)
 from lidarcfg.packets.inertial import measured
 from lidarcfg.packets.point_fields import HESAI
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Pattern, ranked
@@ -57,6 +66,11 @@ class Hesai(Codec):
 
     def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
         return batches(unit_of(self.unit, mount), mount, start_ns, spans)
+
+    def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
+        unit = unit_of(self.unit, mount)
+        _, groups = sent_before(unit, mount, start_ns, packet)
+        return np.asarray(groups @ unit.fires)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         packets = encode.encode(unit_of(self.unit, mount), mount, batch, range_m, reflectivity)

@@ -23,7 +23,7 @@ from lidarcfg.packets.hesai.layout import (
     packet,
 )
 from lidarcfg.packets.sensor_unit import SensorUnit
-from lidarcfg.sensors.firing import FiringBatch, Firings
+from lidarcfg.sensors.firing import SKIPPED, FiringBatch, Firings, spans
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import revolutions
 from lidarcfg.sensors.sensor import Byte, Sensor
@@ -329,9 +329,11 @@ def batches(unit: HesaiUnit, mount: Mount, start_ns: int, spans: Iterable[range]
     Packet 0's lasers start to fire `stamp_ns` after `start_ns`, or at it if their stamp is later. With an azimuth field
     of view, packets are sent in which some firing lies within it.
     """
-    sent = 0
+    sent: int | None = None
     longest_ns = int(unit.offset_ns.max())
     for numbers in spans:
+        if sent is None:
+            sent, _ = sent_before(unit, mount, start_ns, numbers.start)
         fired, loop, stamp_ns, inside = _firings(unit, mount, start_ns, numbers)
         ends_ns = stamp_ns + max(unit.facts.firing.stamp_ns + longest_ns, 0)
         if mount.azimuth_fov_deg is not None:
@@ -344,30 +346,69 @@ def batches(unit: HesaiUnit, mount: Mount, start_ns: int, spans: Iterable[range]
         sent += len(ends_ns)
 
 
+def sent_before(unit: HesaiUnit, mount: Mount, start_ns: int, packet: int) -> tuple[int, Times]:
+    """How many packets are sent before the one with a number, and how many of their groups are of each loop."""
+    loops = len(unit.lasers)
+    per_packet = unit.groups(mount.dual)
+    if mount.azimuth_fov_deg is None:
+        turns = packet if mount.dual else packet * per_packet
+        counts = (turns + loops - 1 - np.arange(loops)) // loops
+        return packet, np.asarray(counts * per_packet if mount.dual else counts)
+    sent = 0
+    groups = np.zeros(loops, np.int64)
+    for numbers in spans(packet, SKIPPED):
+        begin, loop = _begins(unit, mount, start_ns, numbers)
+        some = _inside(unit, mount, begin, loop).any(axis=1)
+        sent += int(np.count_nonzero(some))
+        groups += np.bincount(loop[some].ravel(), minlength=loops)
+    return sent, groups
+
+
+def _begins(unit: HesaiUnit, mount: Mount, start_ns: int, numbers: range) -> tuple[Array, Times]:
+    """How far the head has turned at the azimuth of each group of packets (P, G), and which loop each is of."""
+    begun = revolutions(mount.rpm, unit.period_ns(mount.dual), start_ns, numbers, mount.phase_deg)
+    begin = begun[:, None] + (_starts_ns(unit, mount) - unit.early_ns) * (mount.rpm / MINUTE_NS)
+    number = np.array(numbers, np.int64)[:, None]
+    group = np.arange(unit.groups(mount.dual))
+    loop = (number + 0 * group if mount.dual else number * len(group) + group) % len(unit.lasers)
+    return begin, loop
+
+
+def _starts_ns(unit: HesaiUnit, mount: Mount) -> Times:
+    """(G,) when the groups of a packet start."""
+    after_ns = max(unit.facts.firing.stamp_ns, 0)  # nothing fires before the start
+    return np.asarray(after_ns + np.arange(unit.groups(mount.dual)) * unit.facts.firing.period_ns)
+
+
+def _lags(unit: HesaiUnit, mount: Mount) -> Array:
+    """(loops, F) how far the head turns from a group's azimuth to its lasers' firings."""
+    return np.asarray(np.take_along_axis(unit.lag_ns, unit.lasers, axis=1) * (mount.rpm / MINUTE_NS))
+
+
+def _encoder_rad(turn: Array) -> Array:
+    return np.asarray((turn - np.floor(turn)) * (2 * np.pi))
+
+
+def _inside(unit: HesaiUnit, mount: Mount, begin: Array, loop: Times) -> Flags:
+    """(P, G) which groups are in view, by their first laser's firing."""
+    encoder_rad = _encoder_rad(begin + _lags(unit, mount)[loop, 0])
+    return within(mount, head_rad(unit, mount, loop, unit.lasers[loop, 0], encoder_rad))
+
+
 def _firings(unit: HesaiUnit, mount: Mount, start_ns: int, numbers: range) -> tuple[Firings, Times, Times, Flags]:
     """Of the packets with these numbers: firings, which loop groups (P, G) are of, stamps (P,), and what is in view."""
-    dual = mount.dual
-    groups = unit.groups(dual)
-    period_ns = unit.period_ns(dual)
-    first_ns = start_ns + np.array(numbers, np.int64) * period_ns
-    after_ns = max(unit.facts.firing.stamp_ns, 0)  # nothing fires before the start
-    starts_ns = after_ns + np.arange(groups) * unit.facts.firing.period_ns
-    begun = revolutions(mount.rpm, period_ns, start_ns, numbers, mount.phase_deg)
-    begin = begun[:, None] + (starts_ns - unit.early_ns) * (mount.rpm / MINUTE_NS)
-    number = np.array(numbers, np.int64)[:, None]
-    group = np.arange(groups)
-    loop = (number + 0 * group if dual else number * groups + group) % len(unit.lasers)
+    first_ns = start_ns + np.array(numbers, np.int64) * unit.period_ns(mount.dual)
+    starts_ns = _starts_ns(unit, mount)
+    begin, loop = _begins(unit, mount, start_ns, numbers)
     lasers = unit.lasers
-    offset_ns, lag_ns = (np.take_along_axis(one, lasers, axis=1) for one in (unit.offset_ns, unit.lag_ns))
-    turn = begin[:, :, None] + (lag_ns * (mount.rpm / MINUTE_NS))[loop]
-    encoder_rad = (turn - np.floor(turn)) * (2 * np.pi)
+    offset_ns = np.take_along_axis(unit.offset_ns, lasers, axis=1)
     fired = Firings(
         time_ns=((first_ns[:, None] + starts_ns)[:, :, None] + offset_ns[loop]).ravel(),
         laser=lasers.astype(np.uint8)[loop].ravel(),
-        encoder_rad=encoder_rad.ravel(),
+        encoder_rad=_encoder_rad(begin[:, :, None] + _lags(unit, mount)[loop]).ravel(),
     )
     stamp_ns = first_ns + starts_ns[-1] - unit.facts.firing.stamp_ns
-    return fired, loop, stamp_ns, within(mount, head_rad(unit, mount, loop, lasers[loop, 0], encoder_rad[:, :, 0]))
+    return fired, loop, stamp_ns, _inside(unit, mount, begin, loop)
 
 
 def head_rad(unit: HesaiUnit, mount: Mount, loop: Times, laser: Times, encoder_rad: Array) -> Array:

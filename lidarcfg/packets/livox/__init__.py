@@ -22,7 +22,7 @@ from lidarcfg.packets.livox.layout import bytes_of, headers_of, is_points, packe
 from lidarcfg.packets.livox.model import DATA_TYPES, LivoxFacts, LivoxSettings, LivoxUnit, batches, settings, unit
 from lidarcfg.packets.point_fields import LIVOX
 from lidarcfg.sensors.firing import STRONGEST, FiringBatch, PacketPace
-from lidarcfg.sensors.pattern_timing import PatternTiming, in_view
+from lidarcfg.sensors.pattern_timing import PatternTiming, fired_counts, in_view
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 
@@ -59,6 +59,9 @@ class Livox(PatternTiming, Codec):
 
     def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
         return batches(self.unit, start_ns, spans)
+
+    def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
+        return fired_counts(self.unit.sensor.pattern, packet * self.unit.facts.packet.points)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """Out of the field of view points are zeros."""

@@ -19,7 +19,16 @@ from lidarcfg.packets.condition import Condition
 from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.ouster import decode, encode, report, telemetry
 from lidarcfg.packets.ouster.emulator import OusterEmulator
-from lidarcfg.packets.ouster.model import Mode, OusterFacts, OusterSettings, OusterUnit, batches, mode, unit
+from lidarcfg.packets.ouster.model import (
+    Mode,
+    OusterFacts,
+    OusterSettings,
+    OusterUnit,
+    batches,
+    mode,
+    sent_before,
+    unit,
+)
 from lidarcfg.packets.point_fields import OUSTER
 from lidarcfg.sensors.firing import FiringBatch, PacketPace, Pattern
 from lidarcfg.sensors.rig import Mount
@@ -51,6 +60,11 @@ class Ouster(Codec):
 
     def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
         return batches(self._mode(mount), start_ns, spans, mount.phase_deg)
+
+    def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
+        mode = self._mode(mount)
+        _, packets = sent_before(mode, start_ns, packet, mount.phase_deg)
+        return np.full(mount.sensor.count, packets * mode.layout.columns_per_packet)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         mode = self._mode(mount)

@@ -240,8 +240,10 @@ def batches(mode: Mode, start_ns: int, spans: Iterable[range], phase_deg: float 
     revolution.
     """
     zero_ns, first = phase(mode, start_ns, phase_deg)
-    sent = 0  # as IP counts them: from the first one's number on
+    sent: int | None = None  # as IP counts them: from the first one's number on
     for span in spans:
+        if sent is None:
+            sent = sum(sent_before(mode, start_ns, span.start, phase_deg))
         begin_ns, end_ns = (start_ns + at * mode.period_ns for at in (span.start, span.stop))
         number = np.arange(first + max(span.start - 1, 0), first + span.stop)
         number = number[in_window(mode, measurements(mode, number)).any(axis=1)]
@@ -252,6 +254,21 @@ def batches(mode: Mode, start_ns: int, spans: Iterable[range], phase_deg: float 
         sent = sent or int(number[:1].sum())
         yield FiringBatch(_firings(mode, number, time_ns), number, (done_ns + 500) // 1000 * 1000, first=sent)
         sent += len(number)
+
+
+def sent_before(mode: Mode, start_ns: int, packet: int, phase_deg: float | None) -> tuple[int, int]:
+    """Of those before a packet: the number of the first that is sent, or 0, and how many are."""
+    zero_ns, first = phase(mode, start_ns, phase_deg)
+    end = first + packet
+    if packet and column_times_ns(mode, zero_ns, np.array([end]))[0, 0] > start_ns + packet * mode.period_ns:
+        end -= 1  # which is complete a little later
+    frame = mode.layout.packets_per_frame
+    seen = np.flatnonzero(in_window(mode, measurements(mode, np.arange(frame))).any(axis=1))
+    until_end, until_first = (at // frame * len(seen) + int(np.searchsorted(seen, at % frame)) for at in (end, first))
+    if until_end == until_first:
+        return 0, 0
+    revolution, nth = divmod(until_first, len(seen))
+    return revolution * frame + int(seen[nth]), until_end - until_first
 
 
 def measurements(mode: Mode, number: Times) -> Times:

@@ -20,7 +20,7 @@ from lidarcfg.packets.seyond.emulator import SeyondEmulator
 from lidarcfg.packets.seyond.layout import ROBIN_W, Packets, bytes_of
 from lidarcfg.packets.seyond.model import MODES, SeyondFacts, SeyondUnit, batches, unit
 from lidarcfg.sensors.firing import FiringBatch, FramePattern, PacketPace, ranked
-from lidarcfg.sensors.pattern_timing import PatternTiming, in_view
+from lidarcfg.sensors.pattern_timing import PatternTiming, fired_counts, in_view
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 
@@ -50,6 +50,9 @@ class Seyond(PatternTiming, Codec):
 
     def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
         return batches(self.unit, mount, start_ns, spans)
+
+    def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
+        return fired_counts(self.unit.sensor.pattern, packet * self.pace(mount).firings)
 
     def pattern(self, mount: Mount) -> FramePattern:
         return FramePattern(self.unit.sensor.pattern, self.unit.start_m)

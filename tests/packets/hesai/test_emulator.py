@@ -27,6 +27,7 @@ def asked(of, files=None):
         port=of.data_port,
         sidecar_files=lambda suffix: {name: content for name, content in given.items() if name.endswith(suffix)},
         payloads=lambda port, size: iter(()),
+        search=lambda kind, size: iter(()),
         on_warning=lambda warning: None,
     )
     made = codec(of.sensor).emulator(source, payloads.data, NetworkSite(OURS, "127.0.0.1", None))

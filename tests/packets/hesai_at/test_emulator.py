@@ -15,7 +15,15 @@ def asked(model, command, beside):
     """The return code and the payload of an answer, by the frame of HesaiLidar_SDK_2.0, PtcParser."""
     of = mount(model, "strongest")
     *_, payloads = sensed(of, range(4))
-    source = PacketSource("a.pcap", of.host, of.data_port, lambda suffix: beside, lambda port, size: iter(()), lambda kind, size: iter(()), print)
+    source = PacketSource(
+        "a.pcap",
+        of.host,
+        of.data_port,
+        lambda suffix: beside,
+        lambda port, size: iter(()),
+        lambda kind, size: iter(()),
+        print,
+    )
     emulator = codec(of.sensor).emulator(source, payloads.data, NetworkSite("10.77.0.2", "127.0.0.1", None))
     (service,) = emulator.services
     answer = service.answer(HEAD + bytes([command, 0, 0, 0, 0, 0]), "127.0.0.1").data

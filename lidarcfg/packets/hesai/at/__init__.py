@@ -14,14 +14,14 @@ from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
 from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.hesai.at import decode, encode, telemetry
-from lidarcfg.packets.hesai.at.model import HesaiAtFacts, HesaiAtUnit, batches, unit
+from lidarcfg.packets.hesai.at.model import HesaiAtFacts, HesaiAtUnit, batches, ended, unit
 from lidarcfg.packets.hesai.emulator import EmulatedHesai, HesaiEmulator
 from lidarcfg.packets.hesai.encode import holds_one, sent
 from lidarcfg.packets.hesai.layout import bytes_of
 from lidarcfg.packets.hesai.model import held
 from lidarcfg.packets.point_fields import HESAI
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, ranked
-from lidarcfg.sensors.pattern_timing import PatternTiming, in_view
+from lidarcfg.sensors.pattern_timing import PatternTiming, fired_counts, in_view
 from lidarcfg.sensors.rig import SINGLE, Mount
 from lidarcfg.sensors.sensor import Sensor
 
@@ -51,6 +51,9 @@ class HesaiAt(PatternTiming, Codec):
 
     def schedule(self, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
         return batches(self.unit, mount, start_ns, spans)
+
+    def fired_before(self, mount: Mount, start_ns: int, packet: int) -> Times:
+        return fired_counts(self.unit.sensor.pattern, ended(self.unit, mount.dual, packet) * self.pace(mount).firings)
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """Out of the field of view returns are zeros."""

@@ -140,27 +140,33 @@ def unit(sensor: Sensor) -> HesaiAtUnit:
     return made
 
 
+def ended(unit: HesaiAtUnit, dual: bool, slots: int) -> int:
+    """How many packets have ended after this many of the pace's periods."""
+    period_ns = unit.sensor.pattern.period_ns
+    last_ns = _last_ns(unit, dual)
+    revolutions, rest_ns = divmod(slots * unit.pace(dual).period_ns, period_ns)
+    ends_ns = last_ns + round(unit.mirror.column_ns)
+    return revolutions * len(last_ns) + int(np.searchsorted(ends_ns, rest_ns, side="right"))
+
+
+def _last_ns(unit: HesaiAtUnit, dual: bool) -> Times:
+    """The start of the last column of each of a revolution's packets."""
+    groups = unit.groups(dual)
+    return unit.columns.time_ns[groups - 1 :: groups]
+
+
 def batches(unit: HesaiAtUnit, mount: Mount, start_ns: int, spans: Iterable[range]) -> Iterator[FiringBatch]:
     """The firings of successive packets: of each span those that end in its time. No facet fires between two.
 
     Each packet leaves when it is stamped.
     """
     pattern = unit.sensor.pattern
-    pace = unit.pace(mount.dual)
-    groups = unit.groups(mount.dual)
-    columns = unit.columns
-    last_ns = columns.time_ns[groups - 1 :: groups]  # the start of each packet's last column
-
-    def ended(slots: int) -> int:
-        """How many packets have ended after this many of the pace's periods."""
-        revolutions, rest_ns = divmod(slots * pace.period_ns, pattern.period_ns)
-        ends_ns = last_ns + round(unit.mirror.column_ns)
-        return revolutions * len(last_ns) + int(np.searchsorted(ends_ns, rest_ns, side="right"))
-
+    each = unit.pace(mount.dual).firings
+    last_ns = _last_ns(unit, mount.dual)
     for numbers in spans:
-        first, end = ended(numbers.start), ended(numbers.stop)
+        first, end = (ended(unit, mount.dual, at) for at in (numbers.start, numbers.stop))
         number = np.arange(first, end)
         revolutions, packets = np.divmod(number, len(last_ns))
         stamp_ns = start_ns + revolutions * pattern.period_ns + last_ns[packets] - unit.facts.packet.stamp_ns
-        fired = firings(pattern, start_ns, first * pace.firings, end * pace.firings)
+        fired = firings(pattern, start_ns, first * each, end * each)
         yield FiringBatch(fired, number, -(-stamp_ns // 1000) * 1000, first=first)
