@@ -1,7 +1,7 @@
 """The packets of a rig's sensors on a vehicle that stands or drives in a scene."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,8 @@ from lidarcfg.capture.ground_truth import RECORD, records
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
-from lidarcfg.packets.families import codec
-from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch
+from lidarcfg.packets.families import codec, first_packet
+from lidarcfg.sensors.firing import FiringBatch
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.drive import checked_timing
 from lidarcfg.simulate.echoes import Echoes
@@ -56,7 +56,7 @@ def simulated_packets(
     """
     options = options or SimulationOptions()
     trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
-    _check_all(rig.mounts, duration_ns)
+    check_all(rig.mounts, duration_ns)
     runs = sensor_runs(SceneDrive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
     runner = ChunkRunner.of(options, len(runs))
     origin = scene.file.geo_origin
@@ -80,20 +80,17 @@ def save_sidecar_files(path: Path, mounts: Sequence[Mount]) -> list[Path]:
 
 def data_bytes(drive: SceneDrive) -> int:
     """About how many bytes of a capture the sensors' data packets take, as Ethernet frames. Raises ConfigError."""
-    _check_all(drive.rig.mounts, drive.duration_ns)
+    check_all(drive.rig.mounts, drive.duration_ns)
     total = 0.0
     for mount in drive.rig.mounts:
         maker = codec(mount.sensor)
-        everywhere = replace(mount, azimuth_fov_deg=None)
-        batch = next(iter(maker.schedule(everywhere, drive.start_ns, [range(1)])))
-        shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
-        packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
+        packet = first_packet(mount, drive.start_ns)
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
         total += packets * sum(map(len, ethernet_frames(mount.host, packet).records))
     return round(total)
 
 
-def _check_all(mounts: Sequence[Mount], duration_ns: int) -> None:
+def check_all(mounts: Sequence[Mount], duration_ns: int) -> None:
     """Raises ConfigError unless all mounts can be exported: a capture of some would look like that of the whole rig."""
     for mount in mounts:
         try:
