@@ -31,7 +31,7 @@ from lidarcfg.world.vehicle import check_outside
 VEHICLE = "vehicle"  # as a name, before that of an object
 KEPT_NS = 3 * SECOND_NS  # of the vehicle's past, of which position packets report the last whole second
 OBJECT_KEPT_NS = SECOND_NS // 5  # of an object's, longer than any packet
-PART_RAYS = 12_288  # that a thread traces at a time
+PART_RAYS = 24_576  # that a thread traces at a time
 
 
 class LivePackets:

@@ -7,7 +7,6 @@ is transformed into that frame at its own time.
 """
 
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -86,7 +85,8 @@ class Tracer:
 
         Hierarchies are shared, so it costs next to nothing.
         """
-        moved = copy(self)
+        moved = object.__new__(Tracer)  # `copy` would build hierarchies, as unpickling does
+        vars(moved).update(vars(self))
         moved.zero_ns = zero_ns
         moved.dynamic = tuple(Dynamic(one.object, paths.get(one.object, one.path)) for one in self.dynamic)
         moved.world = self.world.along(moved._speeds_m_s(), [one.path.compiled for one in moved.dynamic])

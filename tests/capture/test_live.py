@@ -4,6 +4,7 @@ import contextlib
 import re
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -20,6 +21,7 @@ from lidarcfg.capture.live_packets import LivePackets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.pose_reader import PoseLines
 from lidarcfg.errors import ConfigError
+from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.units import SECOND_NS, START_NS
@@ -386,6 +388,30 @@ def test_a_driver_of_livox(tmp_path):
     assert (np.diff(numbers) % 65536 == 1).all()
     assert live.statistics.asked == 1
     assert any("wants points sent to 127.0.0.1" in one for one in told)
+
+
+@linux
+def test_a_driver_of_hesai():
+    """As HesaiLidar_SDK_2.0 has it, PtcClient: angles of the model, then it says where points go."""
+    told = []
+    rig = rig_of("pandar-xt16", host="10.79.0.2")
+    (angles,) = (text for name, text in codec(rig.mounts[0].sensor).sidecar_files(rig.mounts[0]).items())
+    live = Live(rig, wall(), "127.0.0.1:9", emulate=True, on_message=told.append)
+    head = struct.Struct(">2sBBI")
+    with (
+        receiver() as (points, port),
+        running(live),
+        socket.create_connection(("127.79.0.2", 9347), timeout=5) as driver,
+    ):
+        where = socket.inet_aton("127.0.0.1") + port.to_bytes(2) + (10110).to_bytes(2)
+        for asked, payload, wanted in ((0x05, b"", angles), (0x20, where, b"")):
+            driver.sendall(head.pack(b"\x47\x74", asked, 0, len(payload)) + payload)
+            start, command_code, code, size = head.unpack(driver.recv(8, socket.MSG_WAITALL))
+            assert (start, command_code, code) == (b"\x47\x74", asked, 0)
+            assert (driver.recv(size, socket.MSG_WAITALL) if size else b"") == wanted
+        got = [points.recvfrom(2048) for _ in range(10)]
+    assert {(len(payload), sender[0]) for payload, sender in got} == {(568, "127.79.0.2")}
+    assert f"sets the destination 127.0.0.1:{port}" in "".join(told)
 
 
 @linux
