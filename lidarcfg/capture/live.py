@@ -23,7 +23,7 @@ from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.simulate.scene_drive import SceneDrive
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.scene import Scene, load_scene
 
 STEP_S = 0.02
@@ -74,6 +74,8 @@ class Live:
             raise LidarcfgError(f"{what}; allowed: {'one' if targets else 'one or more'} HOST[:PORT]")
         if not STEPS_S[0] <= step_s <= STEPS_S[1]:
             raise LidarcfgError(f"step_s is {step_s}; allowed: {STEPS_S[0]} to {STEPS_S[1]}")
+        if start_ns is not None and not 0 <= start_ns < TIME_END_NS:
+            raise LidarcfgError(f"start_ns is {start_ns}; allowed: from 0 to below {TIME_END_NS}")
         self._step_ns = round(step_s * SECOND_NS)
         self._start_ns = start_ns
         self._drop = drop
@@ -133,7 +135,10 @@ class Live:
         It gets there in the time that passed between this call and the one before, but 0.2 s at most; the first pose
         holds at once. Raises ConfigError for an unknown name and for what is no pose.
         """
-        T = np.array(T_world_object, np.float64)
+        try:
+            T = np.array(T_world_object, np.float64)
+        except (TypeError, ValueError):
+            T = np.empty(0)
         self._packets.check(name, T)
         with self._lock:
             self._poses[name] = T

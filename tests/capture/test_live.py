@@ -271,8 +271,15 @@ def test_mistakes(tmp_path):
         live.move("vehicle", np.zeros((4, 4)))
     with refused("vehicle: not a pose"):
         live.move("vehicle", np.eye(3))
+    with refused("vehicle: not a pose"):
+        live.move("vehicle", "here")
     with refused("a rig is live from entering to leaving it"):
         live.step()
+    with refused("start_ns is -1; allowed: from 0 to below"):
+        Live(rig, wall(), "127.0.0.1:9", start_ns=-1)
+    late = [{"time_s": n, "position_m": [n, 0, 0]} for n in (1, 2)]
+    with refused("a wall: a pose is needed at 0 to 0 s; the timed poses cover 1 to 2 s"):
+        Live(rig, wall(motion={"poses": late}), "127.0.0.1:9")
     path = tmp_path / "rig.yaml"
     path.write_text("name: r\nsensors: [{name: a, model: vlp-16, position_m: [0, 0, 2]}]\n")
     words = "live", path, "--scene", STREET
