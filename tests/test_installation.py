@@ -1,4 +1,4 @@
-"""The container's file, line by line, and the page on installing: what they name is there, and their commands exist."""
+"""The container's file, line by line, the page on installing, and what GitHub reads: what they name is there."""
 
 import re
 import shlex
@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from lidarcfg.cli.main import cli
@@ -100,3 +101,52 @@ def test_the_page_names_what_is_there():
 def test_the_demo_has_the_extra_that_its_next_commands_need():
     """The README converts what the demo wrote to MCAP."""
     assert re.search(r'environment\.sh"? "?convert', (ROOT / "tools/demo").read_text())
+
+
+@pytest.mark.parametrize(
+    ("schema", "files"),
+    [
+        ("github-workflows", ".github/workflows/*.yml"),
+        ("github-issue-forms", ".github/ISSUE_TEMPLATE/[!c]*.yml"),
+        ("github-issue-config", ".github/ISSUE_TEMPLATE/config.yml"),
+        ("dependabot", ".github/dependabot.yml"),
+        ("citation-file-format", "CITATION.cff"),
+    ],
+)
+def test_what_github_reads_keeps_its_schema(schema, files):
+    found = sorted(map(str, ROOT.glob(files)))
+    assert found
+    checked("check-jsonschema", "--builtin-schema", f"vendor.{schema}", *found)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("zizmor", "--offline", "--no-progress", ".github"), ("hadolint", "--ignore", "DL3008", "tools/Dockerfile")],
+)
+def test_linters_find_nothing(words):
+    """DL3008: Debian removes the versions that it would have pinned."""
+    checked(*words)
+
+
+def checked(program, *words):
+    path = Path(sys.executable).with_name(program)
+    if not path.exists():
+        pytest.skip(f"no wheel of {program} for this Python and system")
+    done = subprocess.run([path, *words], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_workflows_run_what_is_there_on_pythons_that_are_supported():
+    workflows = {path.stem: yaml.safe_load(path.read_text()) for path in ROOT.glob(".github/workflows/*.yml")}
+    supported = {line.rsplit(" ")[-1] for line in PROJECT["project"]["classifiers"] if "Python :: 3." in line}
+    assert len(set(workflows["tests"]["jobs"]["tests"]["strategy"]["matrix"]["python"]) & supported) == 3
+    steps = [step for one in workflows.values() for job in one["jobs"].values() for step in job.get("steps", ())]
+    scripts = {step["run"] for step in steps if "run" in step} & {".ci/run", "tools/site"}
+    assert scripts == {".ci/run", "tools/site"}
+    assert all((ROOT / script).exists() for script in scripts)
+
+
+def test_versions_agree():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    released = re.search(r"## ([\d.]+) \((\d{4}-\d\d-\d\d)\)", (ROOT / "CHANGELOG.md").read_text())
+    assert (cited["version"], str(cited["date-released"])) == released.groups()

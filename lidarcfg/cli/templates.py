@@ -7,11 +7,13 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 
 from lidarcfg.config.document import inline
+from lidarcfg.config.models import Vec3
 from lidarcfg.errors import ConfigError, SceneError
 from lidarcfg.files import replacing, shipped
 
 KINDS = ("study", "rig", "scene", "sensor")
 CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
+AS_IS: Vec3 = (0.0, 0.0, 0.0)
 
 
 def vehicles() -> dict[str, Path]:
@@ -30,12 +32,17 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     if body and vehicle not in known and not body.suffix:
         raise ConfigError(f"no vehicle is called {vehicle!r}; allowed: {', '.join(known)}, or a mesh file")
     copied = path.parent / f"{vehicle}.ply" if vehicle in known else None
-    low, high, scale, unit = _bounds(body) if body else (*CAR, 1.0, "metre")
+    low, high, scale, rpy_deg = _bounds(body) if body else (*CAR, 1.0, AS_IS)
     template = Environment(undefined=StrictUndefined, keep_trailing_newline=True).from_string(
         (shipped("data") / "templates" / f"{kind}.yaml.j2").read_text("utf-8")
     )
     name = None if body is None else copied.name if copied else os.path.relpath(body, path.parent)
-    text = template.render(file=path, body=name and inline(name), scale=scale, unit=unit, **_study(low, high))
+    text = template.render(
+        file=path,
+        body=name and inline(name),
+        **_frame_keys(scale, rpy_deg),
+        **_study(low, high),
+    )
     for file in (path, copied):
         if file and file.exists() and not (file == copied and body and file.read_bytes() == body.read_bytes()):
             raise ConfigError(f"{file}: exists already; name another file, or remove it")
@@ -47,20 +54,36 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     return [path, copied] if copied else [path]
 
 
-def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...], float, str]:
-    """The bounds of a mesh in metres, the scale that makes them so, and the unit of the file by its size."""
+def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...], float, Vec3]:
+    """The bounds of a mesh in the vehicle frame, and the scale and rotation that bring it there, by its looks."""
     import numpy as np
 
+    from lidarcfg.geometry import pose, transform
+    from lidarcfg.world.mesh_frame import likely_rpy_deg, likely_scale
     from lidarcfg.world.meshes import read_mesh
-    from lidarcfg.world.vehicle import UNITS, likely_scale
 
     try:
-        vertices = read_mesh(body)[0]
+        mesh = read_mesh(body)
     except SceneError as error:
         raise ConfigError(str(error)) from None
-    scale = likely_scale(np.ptp(vertices, axis=0))
-    low, high = (tuple((scale * corner).tolist()) for corner in (vertices.min(axis=0), vertices.max(axis=0)))
-    return low, high, scale, UNITS[scale]
+    scale, rpy_deg = likely_scale(np.ptp(mesh[0], axis=0)), likely_rpy_deg(mesh)
+    vertices_m = transform(pose((0, 0, 0), np.radians(rpy_deg)), scale * mesh[0])
+    low, high = (tuple(corner.tolist()) for corner in (vertices_m.min(axis=0), vertices_m.max(axis=0)))
+    return low, high, scale, rpy_deg
+
+
+def _frame_keys(scale: float, rpy_deg: Vec3) -> dict[str, str]:
+    """The keys that bring a mesh into the vehicle frame, and what is said of them."""
+    from lidarcfg.world.mesh_frame import TURNS, UNITS
+
+    keys, looks = [], []
+    if scale != 1:
+        keys.append(f"scale: {scale}, ")
+        looks.append(f"its file's unit is the {UNITS[scale]}")
+    if rpy_deg in TURNS:
+        keys.append(f"rpy_deg: [{', '.join(f'{angle:g}' for angle in rpy_deg)}], ")
+        looks.append(f"in its file {TURNS[rpy_deg]}")
+    return {"frame_keys": "".join(keys), "looks": " and ".join(looks)}
 
 
 def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[float]]:

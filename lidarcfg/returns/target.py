@@ -111,8 +111,10 @@ def box_target(size_m: Vec3) -> Target:
 
 
 def mesh_target(folder: Path, name: str | Triangles) -> Target:
-    """The closed mesh in a file. Raises SceneError if it cannot be read, and ConfigError if it is open."""
+    """The closed mesh in a file. Raises SceneError if it cannot be read, and ConfigError if it is open or too large."""
     found = Target(merge_vertices(mesh_from(name, folder)))
+    if (size_m := found.size_m.max()) > SIZE_MAX_M:
+        raise ConfigError(f"{name}: is {size_m:g} m large; allowed: up to {SIZE_MAX_M:g} m, as a mesh is in metres")
     if len(edges := open_edges(found.mesh)):
         corners = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
         what = f"is not closed: {len(edges)} of its edges bound an odd number of triangles, one of them {corners}"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lidarcfg.config.models import Given, error_at, errors_at, load_or_check, whole_values
+from lidarcfg.errors import ConfigError
 from lidarcfg.requirements.file import entries_of
 from lidarcfg.requirements.kind import Context, Entry, VehicleSite
 from lidarcfg.requirements.resolved import Requirements, resolved
@@ -54,7 +55,8 @@ def study_of(file: StudyFile, path: Path) -> Study:
     if bodies:
         region = region.without(bodies)
         if not region.included.any():
-            raise error_at(path, ("vehicle",), "leaves no cuboid in the region")
+            whole = error_at(path, ("vehicle",), "leaves no cuboid in the region")
+            raise ConfigError.all_of([whole, *map(ConfigError, bodies.warnings)])
         check_bounds(file, path, bodies)
     surroundings = _surroundings(file, path)
     zones = _zones(file, region, path)

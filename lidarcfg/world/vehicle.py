@@ -22,6 +22,7 @@ from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.footprint import Footprint
+from lidarcfg.world.mesh_frame import axes_warnings, unit_warnings
 from lidarcfg.world.mesh_source import Triangles
 from lidarcfg.world.meshes import Mesh
 from lidarcfg.world.scene import Scene, build_scene
@@ -40,10 +41,6 @@ if TYPE_CHECKING:
     import open3d
 
 MANY_TRIANGLES = 500_000  # triangles: reading and checking them takes seconds
-LEAST_M = 0.05  # the size of a vehicle's mesh: of a part of one
-TYPICAL_M = 5.0  # of a car
-MOST_M = 40.0  # of the longest bus
-UNITS = {1.0: "metre", 0.001: "millimetre", 0.01: "centimetre", 0.0254: "inch"}  # by the scale that makes them metres
 ORIGIN = 0.0, 0.0, 0.0
 
 
@@ -264,7 +261,8 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
                 what = f"{_describe_open(item, edges)}; {solid} closed parts; it still blocks beams"
                 warnings.append(_warning(path, (*at, kind, i), what))
             if kind == "meshes":
-                warnings += [_warning(path, (*at, kind, i, "file"), what) for what in _unit_warnings(item, mesh)]
+                looks = unit_warnings(item, mesh) + (axes_warnings(item, mesh) if len(file.meshes) == 1 else [])
+                warnings += [_warning(path, (*at, kind, i, "file"), what) for what in looks]
     if len(scene.triangles) > MANY_TRIANGLES:
         seconds = time.perf_counter() - began
         what = f"the vehicle has {len(scene.triangles):,} triangles; reading them took {seconds:.1f} s"
@@ -331,23 +329,6 @@ def _warning(path: Path, key: Key, what: str) -> str:
     if not path.name:
         return what
     return f"{path}: {what}" if path.suffix.lower() in OTHERS else str(error_at(path, key, what))
-
-
-def likely_scale(size: Array) -> float:
-    """The likely scale of a vehicle's mesh of a size (3,): one of UNITS."""
-    if LEAST_M <= size.max() <= MOST_M or size.max() == 0:
-        return 1.0
-    times = float(size.max()) / TYPICAL_M
-    return min(UNITS, key=lambda one: max(times * one, 1 / (times * one)))
-
-
-def _unit_warnings(item: MeshFile, mesh: Mesh) -> list[str]:
-    """A warning if the size of a vehicle's mesh suggests another unit."""
-    size_m = np.ptp(mesh[0], axis=0)
-    if LEAST_M <= size_m.max() <= MOST_M or (scale := likely_scale(size_m / item.scale)) == item.scale:
-        return []
-    size = " × ".join(f"{value:.4g}" if value < 1e4 else f"{value:.0f}" for value in size_m)
-    return [f"{item.name!r} of {item.file} is {size} m large; if its unit is the {UNITS[scale]}, set scale: {scale:g}"]
 
 
 def static_bvh(scenes: Sequence[Scene], origin_m: Array) -> world.Bvh:

@@ -152,7 +152,10 @@ def test_a_mesh_in_millimetres_makes_the_study_of_the_mesh_in_metres(tmp_path):
     o3d.io.write_triangle_mesh(str(tmp_path / "mm.ply"), body.scale(1000, np.zeros(3)))
     (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "mm.ply"))
     (usual,) = write_template("study", tmp_path / "usual.yaml", str(ROOT / "data/vehicles/truck.ply"))
-    assert "#     By its size the file's unit is the millimetre; scale makes it metres\n" in study.read_text()
+    assert (
+        "#     By its looks its file's unit is the millimetre: compare the drawing of the page (lidarcfg view)\n"
+        in study.read_text()
+    )
     own = load_study(study)
     known = load_study(usual)
     assert own.vehicle.warnings == ()
