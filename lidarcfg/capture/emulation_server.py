@@ -158,7 +158,7 @@ def _bound(address: str, service: Service, shared: bool = False) -> socket.socke
             errno.EACCES: "only a privileged user may open this port; on Linux root, or anyone after "
             f"`sysctl net.ipv4.ip_unprivileged_port_start={service.port}`",
             errno.EADDRNOTAVAIL: "not an address of this machine; give it to it (`ip address add`), "
-            "or replay to 127.0.0.1 on Linux",
+            "or send to 127.0.0.1 on Linux",
         }.get(error.errno or 0, reason(error))
         where = f"{address or 'all addresses'}, {service.transport.upper()} port {service.port}"
         raise ConfigError(f"{where}, on which {service.name} is answered: {what}") from None

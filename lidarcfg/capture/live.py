@@ -35,7 +35,7 @@ LATE_S = 0.05  # behind the clock, that are not made up for
 class LiveStatistics:
     """How a live rig does."""
 
-    time_s: float  # of its clock, since the start
+    time_s: float  # of its clock, that were fired so far
     packets: int  # sent
     unsent: int  # while drivers had asked for none, or for a host out of reach
     lag_s: float  # by which the last step was late
@@ -101,7 +101,8 @@ class Live:
         self._lock = Lock()
         self._poses: dict[str, Array] = {}  # that came since the last step
         self._coming: Future[list[Datagram]] | None = None  # the step that is traced
-        self._sent = 0  # steps
+        self._fired = 0  # steps
+        self._sent = 0
         self._skip = 0  # steps to come that are left out
         self._lag_s = 0.0
         self._slowed_s = 0.0
@@ -154,6 +155,7 @@ class Live:
             poses, self._poses = self._poses, {}
         before = self._coming
         self._coming = self._planning.submit(self._packets.step, poses, self._tracing, self._skip > 0)
+        self._fired += 1
         self._skip = max(self._skip - 1, 0)
         if before:
             self._sending.submit(self._send, before).result()
@@ -162,7 +164,7 @@ class Live:
     def statistics(self) -> LiveStatistics:
         """How it has gone so far."""
         return LiveStatistics(
-            time_s=self._sent * self._step_ns / SECOND_NS,
+            time_s=self._fired * self._step_ns / SECOND_NS,
             packets=self._sender.sent,
             unsent=self._sender.unsent,
             lag_s=self._lag_s,
