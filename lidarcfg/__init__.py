@@ -21,7 +21,7 @@ The packages, from the ground up; each imports only those that stand before it i
     cli           the commands
 
 The ground are `core`, the hot loops in C++, and the modules beside this file: `errors`, `units`, `maths`, `geometry`,
-`futures`, `files`, `inputs`.
+`futures`, `files`, `inputs`, `notebook`.
 
 `__init__.pyi` lists the public names. Each loads its module on first use, so `import lidarcfg` costs nothing.
 """

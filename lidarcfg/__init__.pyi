@@ -5,7 +5,11 @@ from .clouds.cloud import PointCloud as PointCloud
 from .errors import LidarcfgError as LidarcfgError
 from .io.export import export as export
 from .packets.families import pattern as pattern
+from .report.comparison import compare as compare
+from .requirements.verdict import Verdict as Verdict
+from .search.cheapest import cheapest as cheapest
 from .search.optimize import optimize as optimize
+from .sensors.rig import Mount as Mount
 from .sensors.rig import Rig as Rig
 from .sensors.rig import load_rig as load_rig
 from .sensors.rig import save_rig as save_rig
@@ -15,9 +19,14 @@ from .simulate.drive import Drive as Drive
 from .study.evaluation import evaluate as evaluate
 from .study.loading import load_study as load_study
 from .study.study import Study as Study
+from .study.verification import verify as verify
+from .viewer.view import view as view
 from .vsr.region import Region as Region
 from .vsr.subspaces import Subspaces as Subspaces
+from .world.motion import Trajectory as Trajectory
 from .world.scene import Scene as Scene
 from .world.scene import load_scene as load_scene
+from .world.vehicle import Vehicle as Vehicle
+from .world.vehicle import load_vehicle as load_vehicle
 
 __version__: str

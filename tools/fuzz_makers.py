@@ -25,7 +25,9 @@ ROBOSENSE = "helios-16p", "helios-32", "airy"
 OUSTER = {  # profile and return mode
     "RNG19_RFL8_SIG16_NIR16": "strongest",
     "RNG19_RFL8_SIG16_NIR16_DUAL": "dual",
+    "RNG19_RFL8_SIG16_ZONE16_DUAL": "dual",
     "RNG15_RFL8_NIR8": "strongest",
+    "RNG15_RFL8_WIN8": "strongest",
     "FUSA_RNG15_RFL8_NIR8_DUAL": "dual",
     "LEGACY": "strongest",
 }

@@ -10,8 +10,6 @@ import numpy as np
 import lidarcfg
 from lidarcfg.geometry import pose
 from lidarcfg.study.study import with_solver
-from lidarcfg.viewer.contents import Contents
-from lidarcfg.viewer.still import save_still
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)
@@ -25,10 +23,12 @@ for mount in found.rig.mounts:
 print(f"max VSR {found.objective:.3f} m; at the midpoint of the bounds it was {found.midpoint_max_vsr_m:.3f} m")
 lidarcfg.save_rig(found.rig, out / "tour.yaml")
 
-# %% Is it better than a rig made by hand?
-by_hand = lidarcfg.evaluate(study, lidarcfg.load_rig("data/rigs/roof.yaml"))
-for name, rate in found.evaluation.detection.items():
-    print(f"{name:12} {rate.rate:.1%} of all places, by hand {by_hand.detection[name].rate:.1%}")
+# %% Is it better than a rig made by hand, and does it see what it must?
+both = lidarcfg.compare(study, [found.rig, "data/rigs/roof.yaml"])  # a notebook shows the table
+for letter, one in both.evaluations.items():
+    print(f"rig {letter} misses {one.misses.mean:.2%}")
+for one in lidarcfg.verify("data/studies/sedan-requirements.yaml", found.rig).requirements:
+    print(f"{one.name:20} {'PASS' if one.passed else 'FAIL'} by {one.margin:+g} {one.unit}")
 
 # %% What will it see?
 # A capture has the packets that the sensors would send; a .ply, a bag or nuScenes has points with ground truth.
@@ -44,8 +44,6 @@ print(f"{len(cloud.xyz):,} points of {', '.join(cloud.sensor_names)}")
 assert set(cloud.sensor_names) == {mount.name for mount in found.rig.mounts}
 
 # %% A look at it
-scene = lidarcfg.load_scene("data/scenes/street.yaml")
-contents = Contents(
-    cloud, objects=None, rigs=(found.rig,), study=None, scenes=(scene,), T_world_vehicle=T_world_vehicle
-)
-save_still(contents, out / "tour.png", (960, 540), by="height")
+# A file, as the command `lidarcfg view` takes it, or what is loaded; a notebook shows the page itself.
+lidarcfg.view(out / "tour.pcap", by="height").save(out / "tour.png")
+lidarcfg.view(cloud, found.rig).save(out / "tour.html")

@@ -6,7 +6,7 @@ frame, and `to_cloud` moves these into the vehicle's: a `PointCloud`. Chunks are
 """
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -35,12 +35,15 @@ def decode(
     on_warning: Callable[[str], None] = print,
     deskew: bool = False,
     driver_view: bool = False,
+    sidecars: Sequence[str | Path] = (),
 ) -> PointCloud:
     """All points of a capture as one cloud: in the rig's vehicle frame, or deskewed by its manifest in the world frame.
 
     Without a rig, that of the capture's manifest is used; without one, or with the rig "none", each point is in its
     sensor's own frame. With `driver_view`, angles and times are as the makers' own drivers compute them: Hesai's SDK
-    with its firing time file, rs_driver. Raises PacketError, also for a capture without points, and ConfigError.
+    with its firing time file, rs_driver. `sidecars` are files of the sensors, of any name, that are read instead of
+    those beside the capture: an Ouster's metadata, a Hesai's angles. Raises PacketError, also for a capture without
+    points, and ConfigError.
     """
     path = Path(path)
     motion = load_manifest(path).motion() if deskew else None
@@ -50,7 +53,7 @@ def decode(
     if motion and not rig:
         raise ConfigError(f"{path}: deskewing needs the rig, which says where the sensors are on the vehicle")
     size = path.stat().st_size if path.is_file() else 0
-    clouds = decode_pcap(path, on_warning, rig, driver_view=driver_view)
+    clouds = decode_pcap(path, on_warning, rig, driver_view=driver_view, sidecars=sidecars)
     cloud = gather(clouds, min(size // POINT_BYTES, POINTS_AT_FIRST))
     return replace(cloud, xyz=motion.world(cloud.xyz, cloud.time_ns)) if motion else cloud
 
@@ -64,16 +67,17 @@ def decode_pcap(
     on_stats: Callable[[SourceStats], None] | None = None,
     selection: Selection = ALL,
     driver_view: bool = False,
+    sidecars: Sequence[str | Path] = (),
 ) -> Iterator[PointCloud]:
     """The capture's points in clouds of at most about `chunk_packets` packets; memory does not grow with its length.
 
     With a rig the points are in the vehicle frame and the sensors are its mounts. Without one the points of each source
     (called host:port) are in its sensor's frame, and `sensor_names` grows as sources appear. `model` overrides what the
     packets say. `on_warning` gets a line if the file is cut off, `on_stats` the figures of each source at the end. A
-    selected part decodes exactly as it does within the whole capture. `driver_view` is that of `decode`. Raises
-    PacketError and ConfigError.
+    selected part decodes exactly as it does within the whole capture. `driver_view` and `sidecars` are those of
+    `decode`. Raises PacketError and ConfigError.
     """
-    reader = CaptureReader(path, on_warning, rig, model, selection, driver_view)
+    reader = CaptureReader(path, on_warning, rig, model, selection, driver_view, sidecars)
     yield from decode_chunks(reader.chunks(chunk_packets))
     if on_stats:
         for stats in reader.stats():

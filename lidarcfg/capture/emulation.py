@@ -40,13 +40,19 @@ class EmulatedSensor:
 
 
 def find_emulated(
-    path: Path, target: str, port: int | None, selection: Selection, on_warning: Callable[[str], None]
+    path: Path,
+    target: str,
+    port: int | None,
+    selection: Selection,
+    on_warning: Callable[[str], None],
+    sidecars: Sequence[Path] = (),
 ) -> list[EmulatedSensor]:
     """The sensors in a part of a capture that can answer drivers while it is sent to a host and port.
 
-    Warns of those that cannot. Raises PacketError, ConfigError if none can, or one lacks what it needs for it.
+    Warns of those that cannot. `sidecars` are those of `decode`. Raises PacketError, ConfigError if none can, or one
+    lacks what it needs for it.
     """
-    sources = SourceFinder(path, on_warning)
+    sources = SourceFinder(path, on_warning, sidecars=sidecars)
     sensors = (
         _Asked(
             codec(sources.sensor(flow, packets)),
@@ -56,7 +62,10 @@ def find_emulated(
         )
         for flow, packets in _first_packets(path, sources, selection)
     )
-    return _emulated(sensors, Receiver(target, receiver_address(target), port), str(path), on_warning)
+    found = _emulated(sensors, Receiver(target, receiver_address(target), port), str(path), on_warning)
+    for warning in sources.unread:
+        on_warning(warning)
+    return found
 
 
 def emulated_mounts(
@@ -122,6 +131,7 @@ def _source(mount: Mount, on_warning: Callable[[str], None]) -> PacketSource:
         sidecar_files=lambda suffix: {name: content for name, content in files.items() if name.endswith(suffix)},
         payloads=lambda port, size: iter(()),
         on_warning=on_warning,
+        settings=mount.settings,
     )
 
 

@@ -1,5 +1,6 @@
 """Reads and writes UDP datagrams in Ethernet frames. The only module that knows Ethernet, IP and UDP."""
 
+import ipaddress
 import socket
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from lidarcfg.capture.fragments import DATAGRAM_MAX, TIMEOUT_NS, Fragment, Reassembly
 from lidarcfg.geometry import Bytes, Times
 from lidarcfg.packets.codec import Payloads
+from lidarcfg.sensors.rig import Mount
 
 ETHERNET = 1
 LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # tcpdump.org's link types: header bytes, offset of the EtherType
@@ -25,6 +27,7 @@ LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # tcpdump.org's link types:
 VLAN = (0x8100, 0x88A8, 0x9100)
 IPV4 = 0x0800
 TAGS_MAX = 4  # VLAN tags in a frame: two are in use
+BROADCAST = 255  # the last number of an address
 MTU = 1500  # bytes of an IP packet that Ethernet carries
 IP_MAX = 65535  # bytes of an IP packet that its header can state
 ROWS = 256  # pieces of datagrams that are copied together
@@ -34,6 +37,7 @@ MORE_FRAGMENTS = 0x2000
 FRAGMENT_OFFSET = 0x1FFF
 RECORD = np.dtype([(key, "<u4") for key in ("seconds", "microseconds", "captured", "length")])
 ETHERNET_HEADER = np.dtype([("destination", "u1", (6,)), ("source", "u1", (6,)), ("kind", ">u2")])
+TAG = np.dtype([("id", ">u2"), ("kind", ">u2")])  # of a VLAN, of priority 0
 IP = np.dtype(
     [
         *[("version", "u1"), ("service", "u1"), ("length", ">u2"), ("id", ">u2"), ("flags", ">u2"), ("ttl", "u1")],
@@ -86,8 +90,30 @@ class FrameBatch:
     data: Bytes
 
 
-def ethernet_frames(host: str, payloads: Payloads) -> EthernetFrames:
-    """The frames in which a host sends payloads. Datagrams above the MTU leave as fragments at the same time."""
+def mount_frames(mount: Mount, payloads: Payloads) -> EthernetFrames:
+    """The frames in which a mount's sensor sends payloads: to its own destination and in its VLAN, if it has these."""
+    network = payloads.network
+    if mount.destination:
+        own = {"destination_ip": mount.destination, "destination_mac": _mac_of(mount.destination)}
+        network = network.model_copy(update=own)
+    return ethernet_frames(mount.host, replace(payloads, network=network), mount.vlan_id)
+
+
+def _mac_of(destination: str) -> str:
+    """The MAC address of a destination: broadcast, or a multicast group's (RFC 1112); of a host a made-up one."""
+    address = socket.inet_aton(destination)
+    if address[3] == BROADCAST:
+        return ":".join(["ff"] * 6)
+    if ipaddress.IPv4Address(address).is_multicast:
+        return bytes([0x01, 0x00, 0x5E, address[1] & 0x7F, *address[2:]]).hex(":")
+    return bytes([0x02, 0x00, *address]).hex(":")
+
+
+def ethernet_frames(host: str, payloads: Payloads, vlan_id: int | None = None) -> EthernetFrames:
+    """The frames in which a host sends payloads, with a VLAN's tag if one is given.
+
+    Datagrams above the MTU leave as fragments at the same time.
+    """
     count, size = payloads.data.shape
     header = payloads.header
     udp = np.zeros(count, UDP)
@@ -106,23 +132,30 @@ def ethernet_frames(host: str, payloads: Payloads) -> EthernetFrames:
     if UDP.itemsize + size <= most:
         flags = DONT_FRAGMENT if header.dont_fragment else 0
         ids = ids if header.numbered else 0 * ids
-        return EthernetFrames(payloads.time_ns, _records(host, payloads, flags, ids, udp, payloads.data))
+        return EthernetFrames(payloads.time_ns, _records(host, payloads, vlan_id, flags, ids, udp, payloads.data))
     records = []
     body = np.concatenate([udp.view(np.uint8).reshape(count, -1), payloads.data], axis=1)
     for at in range(0, body.shape[1], most):
         flags = at // 8 | (MORE_FRAGMENTS if at + most < body.shape[1] else 0)
-        records.append(_records(host, payloads, flags, ids, udp[:, None][:, :0], body[:, at : at + most]))
+        records.append(_records(host, payloads, vlan_id, flags, ids, udp[:, None][:, :0], body[:, at : at + most]))
     together = [record for row in zip(*records, strict=True) for record in row]
     return EthernetFrames(np.repeat(payloads.time_ns, len(records)), together)
 
 
 def _records(
-    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], content: Bytes
+    host: str,
+    payloads: Payloads,
+    vlan_id: int | None,
+    flags: int,
+    ids: NDArray[np.int64],
+    udp: NDArray[Any],
+    content: Bytes,
 ) -> list[bytes]:
     """Pcap records of bytes (n, m) after Ethernet and IP headers, and UDP headers (n,), or none (n, 0)."""
     count, size = content.shape
-    parts = [("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP, udp.shape[1:])]
-    out = np.zeros(count, [*parts, ("content", "u1", (size,))])
+    tags = 0 if vlan_id is None else 1
+    parts = [("record", RECORD), ("ethernet", ETHERNET_HEADER), ("tags", TAG, (tags,)), ("ip", IP)]
+    out = np.zeros(count, [*parts, ("udp", UDP, udp.shape[1:]), ("content", "u1", (size,))])
     out["udp"] = udp
     out["content"] = content
     record, ethernet, ip = (out[key] for key in ("record", "ethernet", "ip"))
@@ -131,13 +164,15 @@ def _records(
     address = socket.inet_aton(host)
     ethernet["destination"] = _mac_bytes(payloads.network.destination_mac)
     ethernet["source"] = _mac_bytes(payloads.network.mac_prefix) + list(address[1:])
-    ethernet["kind"] = IPV4
+    ethernet["kind"] = VLAN[0] if tags else IPV4
+    out["tags"]["id"] = vlan_id or 0
+    out["tags"]["kind"] = IPV4
     ip["version"] = 0x45
     ip["ttl"] = payloads.header.ttl
     ip["protocol"] = socket.IPPROTO_UDP
     ip["flags"] = flags
     ip["id"] = ids
-    ip["length"] = out.itemsize - RECORD.itemsize - ETHERNET_HEADER.itemsize
+    ip["length"] = out.itemsize - RECORD.itemsize - ETHERNET_HEADER.itemsize - tags * TAG.itemsize
     ip["source"] = list(address)
     ip["destination"] = list(socket.inet_aton(payloads.network.destination_ip))
     ip["checksum"] = _checksum(_sum(ip))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.ethernet import EthernetFrames, ethernet_frames
+from lidarcfg.capture.ethernet import EthernetFrames, mount_frames
 from lidarcfg.capture.ground_truth import RECORD, records
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
@@ -61,7 +61,7 @@ def simulated_packets(
     runner = ChunkRunner.of(options, len(runs))
     origin = scene.file.geo_origin
     return [
-        in_time_order([_data_stream(run, runner, on_truth), _housekeeping_stream(run, trajectory, origin)])
+        in_time_order([_data_stream(run, runner, trajectory, on_truth), _housekeeping_stream(run, trajectory, origin)])
         for run in runs
     ]
 
@@ -86,7 +86,7 @@ def data_bytes(drive: SceneDrive) -> int:
         maker = codec(mount.sensor)
         packet = first_packet(mount, drive.start_ns)
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
-        total += packets * sum(map(len, ethernet_frames(mount.host, packet).records))
+        total += packets * sum(map(len, mount_frames(mount, packet).records))
     return round(total)
 
 
@@ -151,21 +151,24 @@ class _TracedFrames:
     truth: NDArray[np.void]  # empty if not wanted
 
 
-def _data_stream(run: SensorRun, runner: ChunkRunner, on_truth: OnTruth | None) -> Iterator[EthernetFrames]:
+def _data_stream(
+    run: SensorRun, runner: ChunkRunner, trajectory: Trajectory, on_truth: OnTruth | None
+) -> Iterator[EthernetFrames]:
     """The data packets completed within the duration, each sent when complete."""
     maker = codec(run.mount.sensor)
     mount = run.mount
 
     def make(batch: FiringBatch, found: Echoes) -> _TracedFrames:
         range_m = found.range_m + found.noise_m
-        payloads = maker.encode(mount, batch, range_m, found.reflectivity)
+        encoded = maker.encode(mount, batch, range_m, found.reflectivity)
+        payloads = maker.with_inertial(mount, trajectory, encoded)
         truth = np.empty(0, RECORD)
         if on_truth:
             types = maker.return_types(mount, range_m, found.reflectivity)
             sent = maker.sent(mount, batch, payloads)
             fired_ns = maker.fired_ns(mount, batch, range_m)
             truth = records(run.index, types, batch.firings, fired_ns, found, sent)
-        return _TracedFrames(ethernet_frames(mount.host, payloads), truth)
+        return _TracedFrames(mount_frames(mount, payloads), truth)
 
     for chunk in map_chunks(run, runner, make):
         if on_truth:
@@ -179,4 +182,4 @@ def _housekeeping_stream(run: SensorRun, trajectory: Trajectory, origin: GeoOrig
     for begin_ns in range(0, run.duration_ns, SECOND_NS):
         due_ns = range(begin_ns, min(begin_ns + SECOND_NS, run.duration_ns))
         kinds = maker.housekeeping(run.mount, trajectory, origin, run.start_ns, due_ns)
-        yield from in_time_order([iter([ethernet_frames(run.mount.host, some)]) for some in kinds if len(some.time_ns)])
+        yield from in_time_order([iter([mount_frames(run.mount, some)]) for some in kinds if len(some.time_ns)])

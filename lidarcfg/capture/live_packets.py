@@ -92,7 +92,7 @@ class LivePackets:
                 if dropped:
                     self.dropped += len(fired.batch.sent_ns)
                 elif len(fired.batch.sent_ns):
-                    jobs.append((sensor, pool.submit(_payloads, maker, simulator, fired)))
+                    jobs.append((sensor, pool.submit(_payloads, maker, simulator, trajectory, fired)))
         for sensor, maker in zip(self._sensors, self._codecs, strict=True):
             due_ns = range(*(max(self._edge_ns(n) - self._late_ns(sensor), 0) for n in (self._steps, self._steps + 1)))
             origin = self._drive.scene.file.geo_origin
@@ -166,10 +166,12 @@ class LivePackets:
             yield from self._parts(sensor, simulator, step)
 
 
-def _payloads(maker: Codec, simulator: Simulator, fired: FiredPackets) -> Payloads:
+def _payloads(maker: Codec, simulator: Simulator, trajectory: Trajectory, fired: FiredPackets) -> Payloads:
     """The packets of firings."""
+    mount = fired.sensor.mount
     found, _ = simulator.echoes(fired.batch.firings, fired.first)
-    return maker.encode(fired.sensor.mount, fired.batch, found.range_m + found.noise_m, found.reflectivity)
+    encoded = maker.encode(mount, fired.batch, found.range_m + found.noise_m, found.reflectivity)
+    return maker.with_inertial(mount, trajectory, encoded)
 
 
 def _in_motion(T_world_object: Array, scene: Scene, index: int) -> Array:

@@ -1,7 +1,8 @@
 """Reads a capture: the packets of its LiDARs, chunk by chunk, those of each sensor in the order of its clock."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -30,13 +31,14 @@ class CaptureReader:
         model: str | None = None,
         selection: Selection = ALL,
         driver_view: bool = False,
+        sidecars: Sequence[str | Path] = (),
     ) -> None:
         self._path = Path(path)
         self._on_warning = on_warning
         self._rig = rig
         self._selection = selection
         self._window_ns = window_ns(path, selection)
-        self._sources = SourceFinder(self._path, on_warning, rig, model, driver_view)
+        self._sources = SourceFinder(self._path, on_warning, rig, model, driver_view, sidecars)
         self._streams: dict[Flow, Stream | None] = {}  # in the order of their appearance; None: not selected
         self._sensor_names = tuple(mount.name for mount in rig.mounts) if rig else ()
         if rig:
@@ -65,7 +67,7 @@ class CaptureReader:
                     waiting = 0
                     waiting_bytes = 0
         chunk = self._take(last=True)
-        for warning in self._sources.strangers:
+        for warning in chain(self._sources.strangers, self._sources.unread):
             self._on_warning(warning)
         self._check_found()
         for stream in self._selected:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.ethernet import Datagrams
 from lidarcfg.capture.pcap import read_batches
+from lidarcfg.config.models import Section
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Bytes
 from lidarcfg.inputs import read_regular
@@ -46,8 +47,20 @@ class Flow(NamedTuple):
         return f"{self.host}:{self.port}"
 
 
+class SidecarFile(NamedTuple):
+    """A file of a sensor's."""
+
+    name: str
+    content: bytes
+    suffix: str  # that its name would have beside a capture
+
+
 class SourceFinder:
-    """Finds out who sends the datagrams of a capture. `model` is given for all, or the rig's mounts are."""
+    """Finds out who sends the datagrams of a capture. `model` is given for all, or the rig's mounts are.
+
+    `sidecars` are read instead of the files of their kind beside the capture. Raises PacketError for those that are
+    no sensor's.
+    """
 
     def __init__(
         self,
@@ -56,6 +69,7 @@ class SourceFinder:
         rig: Rig | None = None,
         model: str | None = None,
         driver_view: bool = False,
+        sidecars: Sequence[str | Path] = (),
     ) -> None:
         self._path = path
         self._on_warning = on_warning
@@ -63,7 +77,9 @@ class SourceFinder:
         self._mounts = rig.mounts if rig else ()
         self._model = load_sensor(model) if model else None
         self._catalogue = cache(_catalogued)
-        self._sidecar_files = cache(partial(_sidecar_files, path))
+        self._sidecar_files = cache(self._find_sidecar_files)
+        self._given_files = [_given_file(Path(one)) for one in sidecars]
+        self._asked: set[str] = set()  # suffixes of files that were looked for
         self.flows: list[Flow] = []  # in the order of their appearance
         self._numbers: dict[int, int] = {}  # of the flows, by host, port and size as one integer
         self._families: dict[Flow, str | None] = {}  # None: it is no LiDAR
@@ -108,6 +124,18 @@ class SourceFinder:
             assert given
             what = f"{count} packets of {self._others[flow]} ({flow.size} bytes) are skipped"
             yield f"{self._path}: {flow.name}: {what}: they are not {given.name}'s"
+
+    @property
+    def unread(self) -> Iterator[str]:
+        """Warnings about given files that nothing in the capture needed."""
+        for one in self._given_files:
+            if one.suffix not in self._asked:
+                yield f"{one.name}: is not read: nothing in {self._path} needs it"
+
+    def _find_sidecar_files(self, suffix: str) -> Mapping[str, bytes]:
+        self._asked.add(suffix)
+        given = {one.name: one.content for one in self._given_files if one.suffix == suffix}
+        return given or _files_beside(self._path, suffix)
 
     def _add_flow(self, batch: Datagrams, first: Sequence[int]) -> None:
         """Find the family of a new flow by its first packets: the given sensor's, or the first that matches."""
@@ -156,6 +184,7 @@ class SourceFinder:
 
     def source(self, flow: Flow) -> PacketSource:
         """What a codec can ask about a flow."""
+        _, mount = self.mount(flow)
         return PacketSource(
             where=f"{self._path}: {flow.name}",
             host=flow.host,
@@ -163,6 +192,7 @@ class SourceFinder:
             sidecar_files=self._sidecar_files,
             payloads=partial(_payloads, self._path, flow.host),
             on_warning=self._on_warning,
+            settings=mount.settings if mount and not self._model else Section({}),
             driver_view=self._driver_view,
         )
 
@@ -186,7 +216,18 @@ def _catalogued(codec: str, name: str | None = None) -> list[Sensor]:
     return [load_sensor(one) for one in catalogue(codec) if name in (None, one)]
 
 
-def _sidecar_files(path: Path, suffix: str) -> Mapping[str, bytes]:
+def _given_file(path: Path) -> SidecarFile:
+    try:
+        content = read_regular(path, SIDECAR_MAX)
+    except OSError as error:
+        raise PacketError.from_os(path, error) from None
+    for name in FAMILIES:
+        if suffix := family(name).sidecar_suffix(str(path), content):
+            return SidecarFile(str(path), content, suffix)
+    raise PacketError(f"{path}: no file of a sensor's; allowed: an Ouster's metadata, a Hesai's angles or firing times")
+
+
+def _files_beside(path: Path, suffix: str) -> Mapping[str, bytes]:
     """The files beside a capture NAME.pcap that match NAME, NAME-*, NAME.* or NAME_<number>, followed by `suffix`.
 
     NAME_0.json is what Ouster's recorder writes beside NAME.pcap; with a NAME_0.pcap there it is that one's.

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lidarcfg.capture.ethernet import ethernet_frames
+from lidarcfg.capture.ethernet import mount_frames
 from lidarcfg.capture.export import save_sidecar_files
 from lidarcfg.capture.manifest import DriveInputs, manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
@@ -135,7 +135,9 @@ class Writer:
         for one, returns in zip(rays.packets, seen, strict=True):
             if len(one.batch.sent_ns):
                 mount = one.sensor.mount
-                payloads = self._codecs[one.sensor.index].encode(mount, one.batch, *returns)
+                maker = self._codecs[one.sensor.index]
+                encoded = maker.encode(mount, one.batch, *returns)
+                payloads = maker.with_inertial(mount, self._drive.trajectory, encoded)
                 sent.append(Sent(2 * one.sensor.index, mount, payloads))
         sent += self._housekeeping(range(begin_ns, end_ns))
         known_ns = min(
@@ -277,7 +279,7 @@ class _Capture:
     def send(self, sent: Sequence[Sent], known_ns: int) -> None:
         """Write packets. All that leave before `known_ns` have come."""
         for one in sent:
-            made = ethernet_frames(one.mount.host, one.payloads)
+            made = mount_frames(one.mount, one.payloads)
             times = made.time_ns.tolist()
             self._waiting += zip(times, [one.stream] * len(times), made.records, strict=True)
         self._waiting.sort(key=lambda record: record[:2])

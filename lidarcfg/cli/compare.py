@@ -34,19 +34,11 @@ def compare(
     Compares max VSR, the worst subspaces, detection and coverage, and marks the best of each row. The study's bounds
     on the poses are not enforced.
     """
-    from lidarcfg.report.comparison import (
-        COMPARED,
-        check_count,
-        comparison_dict,
-        contenders,
-        print_comparison,
-        save_comparison,
-    )
-    from lidarcfg.report.inputs import report_inputs
+    from lidarcfg.report.comparison import COMPARED, check_count, print_comparison, save_comparison
+    from lidarcfg.report.comparison import compare as comparison
     from lidarcfg.report.results import check_writable, to_json
     from lidarcfg.report.rig_report import Commands
     from lidarcfg.sensors.rig import load_rig
-    from lidarcfg.study.evaluation import evaluate as evaluation
     from lidarcfg.study.loading import load_study
 
     check_count(len(rigs))
@@ -57,23 +49,13 @@ def compare(
         check_rig(loaded, path, rig)
     if output:
         check_writable(output, COMPARED)
-    named = []
     with progress(quiet or as_json) as on_progress:
-        for n, (path, rig) in enumerate(zip(rigs, mounted, strict=True)):
-
-            def on_evaluated(fraction: float, n: int = n, path: Path = path) -> None:
-                on_progress((n + fraction) / len(rigs), str(path))
-
-            on_evaluated(0.0)
-            found = evaluation(loaded, rig, tolerance, on_progress=on_evaluated)
-            shown = report_inputs(loaded, rig, found, cheap_cuboids=0).without_cuboids()
-            named.append((str(path), rig, shown))
-    compared = contenders(named)
+        compared = comparison(loaded, rigs, tolerance, on_progress)
     if output:
-        save_comparison(loaded, compared, output, Commands(command_line(), command_line()))
+        save_comparison(loaded, compared.rigs, output, Commands(command_line(), command_line()))
     if as_json:
-        click.echo(to_json(comparison_dict(loaded, compared)))
+        click.echo(to_json(compared.to_dict()))
     elif not quiet:
-        print_comparison(loaded, compared)
+        print_comparison(loaded, compared.rigs)
         if output:
             click.echo(f"written to {output}/: compare.html compare.json")

@@ -15,6 +15,7 @@ from lidarcfg.cli.options import (
     model_option,
     quiet_option,
     sensor_option,
+    sidecar_option,
     to_option,
     warn,
 )
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
         "export's manifest, or none]",
     ),
     model_option,
+    sidecar_option,
 )
 @cloup.option_group("Selection", from_option, to_option, sensor_option, help="Read only a part of the capture.")
 @cloup.option_group(
@@ -72,6 +74,7 @@ def decode(
     pcap: Path,
     rig: Path | None,
     model: str | None,
+    sidecars: tuple[Path, ...],
     deskew: bool,
     trajectory: Path | None,
     at: str | None,
@@ -124,7 +127,14 @@ def decode(
 
             pcap = stack.enter_context(packets_of(pcap, mounted, warn))
         clouds = decode_pcap(
-            pcap, warn, mounted, model, on_stats=on_stats, selection=selection, driver_view=driver_view
+            pcap,
+            warn,
+            mounted,
+            model,
+            on_stats=on_stats,
+            selection=selection,
+            driver_view=driver_view,
+            sidecars=sidecars,
         )
         if truth and mounted:
             from lidarcfg.capture.ground_truth import with_objects

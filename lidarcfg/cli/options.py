@@ -156,6 +156,14 @@ sensor_option = cloup.option(
     shell_complete=complete_mount,
     help="Use only this mount, or host:port. May be repeated.",
 )
+sidecar_option = cloup.option(
+    "--sidecar",
+    "sidecars",
+    type=FILE,
+    multiple=True,
+    help="Read this file of a sensor's, of any name: an Ouster's metadata, a Hesai's angles or firing times. May be "
+    "repeated.  [default: those beside the capture]",
+)
 json_option = cloup.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 tolerance_option = cloup.option(
     "--tolerance",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 import cloup
 
-from lidarcfg.cli.options import FILE, Factor, from_option, quiet_option, to_option, warn
+from lidarcfg.cli.options import FILE, Factor, from_option, quiet_option, sidecar_option, to_option, warn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -28,7 +28,13 @@ def say_sources(sources: "Mapping[str, str]") -> None:
 
 
 def _emulated(
-    stack: "ExitStack", pcap: Path, host: str, port: int | None, selection: "Selection", quiet: bool
+    stack: "ExitStack",
+    pcap: Path,
+    host: str,
+    port: int | None,
+    selection: "Selection",
+    sidecars: tuple[Path, ...],
+    quiet: bool,
 ) -> "Mapping[str, Emulator]":
     """The capture's sensors that answer drivers from now on, until the stack closes, by their addresses in it."""
     from lidarcfg.capture.emulation import find_emulated
@@ -38,7 +44,7 @@ def _emulated(
         if not quiet:
             click.echo(f"lidarcfg: {message}", err=True)
 
-    sensors = find_emulated(pcap, host, port, selection, warn)
+    sensors = find_emulated(pcap, host, port, selection, warn, sidecars)
     services = ((one.site.address, service) for one in sensors for service in one.emulator.services)
     stack.enter_context(EmulationServer(services, say))
     for one in sensors:
@@ -67,10 +73,19 @@ def _emulated(
     "(TCP port 80), a Hesai's PTC (TCP 9347), a Livox's commands (UDP 56000 and 56100). Drivers may then set where "
     "datagrams go.",
 )
+@sidecar_option
 @cloup.option_group("Selection", from_option, to_option, help="Send only a part of the capture.")
 @quiet_option
 def replay(
-    pcap: Path, target: str, speed: float, loop: bool, emulate: bool, from_s: float, to_s: float, quiet: bool
+    pcap: Path,
+    target: str,
+    speed: float,
+    loop: bool,
+    emulate: bool,
+    sidecars: tuple[Path, ...],
+    from_s: float,
+    to_s: float,
+    quiet: bool,
 ) -> None:
     """Send a capture's datagrams to a host, to test a driver live.
 
@@ -86,6 +101,8 @@ def replay(
     host, _, port = target.partition(":")
     if ":" in target and not (port.isascii() and port.isdigit() and 1 <= int(port) <= 65535):
         raise click.BadParameter(f"{port!r} is not a port, 1 to 65535", param_hint="HOST[:PORT]")
+    if sidecars and not emulate:
+        raise click.UsageError("--sidecar needs --emulate: only drivers ask for such files")
     selection = Selection(from_s, to_s)
 
     def read() -> "Iterator[Datagram]":
@@ -93,7 +110,7 @@ def replay(
 
     number = int(port) if port else None
     with ExitStack() as stack:
-        sensors = _emulated(stack, pcap, host, number, selection, quiet) if emulate else {}
+        sensors = _emulated(stack, pcap, host, number, selection, sidecars, quiet) if emulate else {}
         sent = send(repeat(read) if loop else read(), host, number, speed, sensors)
     if not quiet:
         late = f"at most {sent.latest_s * 1000:.1f} ms late"

@@ -72,6 +72,9 @@ class PointCloud:
     object: NDArray[np.int32] | None = None  # (N,) index into object_names, -1: none of them; None: not known
     object_names: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<PointCloud: {len(self.xyz):,} points of {', '.join(self.sensor_names) or 'no sensor'}>"
+
     @classmethod
     def none(cls, sensor_names: tuple[str, ...]) -> "PointCloud":
         """An empty cloud of these sensors."""

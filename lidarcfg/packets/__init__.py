@@ -2,8 +2,8 @@
 
 To read in this order: `codec` is the interface that each maker implements, `families` the registry of makers. Then a
 maker: `velodyne`, `hesai`, `robosense`, `livox` or `ouster`. Several makers share `sensor_unit`, `headers`, `blocks`,
-`loss`, `inertial` and `point_fields`. `emulator` is the interface for answering drivers; some makers implement it in an
-`emulator` of their own.
+`loss`, `inertial`, `nmea` and `point_fields`. `emulator` is the interface for answering drivers; some makers implement
+it in an `emulator` of their own.
 
 A new maker is a folder here and a line in `families.FAMILIES`; docs/codec.md goes through it step by step.
 """

@@ -6,19 +6,20 @@ is a small one.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.config.models import Model
+from lidarcfg.config.models import Model, Section
+from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, Timing
-from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.rig import Clock, Mount
 from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -84,9 +85,10 @@ class PacketSource:
     where: str  # file and endpoint, for errors
     host: str  # its address
     port: int  # the destination's
-    sidecar_files: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
+    sidecar_files: Callable[[str], Mapping[str, bytes]]  # with this suffix: those given, or those beside the capture
     payloads: Callable[[int | None, int], Iterator[Bytes]]  # of one size, of the host to a port or to any
     on_warning: Callable[[str], None]
+    settings: Section = field(default_factory=lambda: Section({}))  # of the rig's mount there, under the codec's name
     driver_view: bool = False  # angles and times are wanted as the maker's own driver computes them, if it differs
 
 
@@ -136,6 +138,13 @@ class Decoder(Protocol):
         return {}
 
 
+def check_clock(mount: Mount, *allowed: Clock) -> None:
+    """Raises ConfigError unless a sensor's packets can say that its clock is as the mount's `clock`."""
+    if mount.clock not in (None, *allowed):
+        what = f"clock: {mount.clock!r} is not allowed; packets of a {mount.sensor.name} say {' or '.join(allowed)}"
+        raise ConfigError(what)
+
+
 class Codec(Timing, Protocol):
     """The packets of one sensor. The constructor raises ConfigError if the sensor's file lacks facts."""
 
@@ -155,6 +164,10 @@ class Codec(Timing, Protocol):
         strongest. Both are equal if there is one return only. If the last, or the first, is also the strongest, the
         other one is the second strongest. Ranges that the sensor or the packet cannot hold are no returns.
         """
+
+    def with_inertial(self, mount: Mount, trajectory: "Trajectory", payloads: Payloads) -> Payloads:
+        """The packets of `encode` with the inertial measurements that they hold; those of most sensors hold none."""
+        return payloads
 
     def sent(self, mount: Mount, batch: FiringBatch, payloads: Payloads) -> Flags:
         """(N, R) which ranges are returns in the packets; of an identical pair, only the first."""
@@ -178,6 +191,14 @@ class Codec(Timing, Protocol):
         return {}
 
     # reading
+
+    @classmethod
+    def sidecar_suffix(cls, name: str, content: bytes) -> str | None:
+        """The suffix under which this file, of any name, is read beside a capture; None: it is no such file.
+
+        Raises PacketError if it is damaged.
+        """
+        return None
 
     @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:

@@ -19,7 +19,13 @@ class PointField:
 PLACE = tuple(PointField(name, "<f4", name) for name in "xyz")
 SHARED = (*PLACE, PointField("intensity", "<f4", "intensity"), PointField("ring", "<u2", "ring"))
 TIMED = (*SHARED, PointField("time", "<f4", "since_stamp_s"))  # velodyne_driver's PointXYZIRT
-STAMPED = (*SHARED, PointField("timestamp", "<f8", "time_s"))  # HesaiLidar_ROS_2.0, rslidar_sdk
+STAMPED = (*SHARED, PointField("timestamp", "<f8", "time_s"))  # rslidar_sdk
+HESAI = (  # HesaiLidar_ROS_2.0: the ring is the channel, from 0, which of most models is the highest beam
+    *PLACE,
+    PointField("intensity", "<f4", "intensity"),
+    PointField("ring", "<u2", "channel"),
+    PointField("timestamp", "<f8", "time_s"),
+)
 OBJECT = PointField("object", "<i4", "object")  # of ground truth
 PLAIN = (*TIMED, PointField("return_type", "u1", "return_type"), OBJECT)  # of points without packets
 OUSTER = (  # ouster-ros: intensity is the signal, the ring the pixel's row from the top, the range in mm

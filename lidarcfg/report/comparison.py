@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from lidarcfg import __version__
+from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import replacing
+from lidarcfg.files import loaded, replacing
+from lidarcfg.notebook import Shown
 from lidarcfg.report import drawings
 from lidarcfg.report.describe import beams, counted, date, describe_object, describe_rig, region_rows
 from lidarcfg.report.evaluation import mounts_table
-from lidarcfg.report.inputs import ReportInputs
+from lidarcfg.report.inputs import ReportInputs, report_inputs
 from lidarcfg.report.key_figures import KeyFigure, compared_rows, key_figures
 from lidarcfg.report.misses import describe_interval, percent
 from lidarcfg.report.page import PageSection, Part, facts, figure, heading, page
@@ -22,8 +24,10 @@ from lidarcfg.report.rig_report import Baseline, Commands, rings_figure
 from lidarcfg.report.table import Column, Table, named
 from lidarcfg.report.terminal import print_table
 from lidarcfg.report.text import HEAD, truncate
-from lidarcfg.sensors.rig import Rig
-from lidarcfg.study.evaluation import Evaluation
+from lidarcfg.requirements.verify import OnProgress, silent
+from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.study.evaluation import Evaluation, evaluate
+from lidarcfg.study.loading import load_study
 from lidarcfg.study.study import Study
 
 RIGS_MAX = 10
@@ -49,6 +53,50 @@ class Contender:
     def title(self) -> str:
         """Its letter and name."""
         return f"{self.letter} {truncate(self.rig.name, HEAD)}"
+
+
+@dataclass(frozen=True)
+class Comparison(Shown):
+    """Rigs side by side in a study."""
+
+    study: Study
+    rigs: tuple[Contender, ...]
+
+    @property
+    def evaluations(self) -> dict[str, Evaluation]:
+        """The evaluation of each rig, by its letter."""
+        return {rig.letter: rig.found for rig in self.rigs}
+
+    def to_dict(self) -> dict[str, Any]:
+        """As a JSON object: what compare.json holds."""
+        return comparison_dict(self.study, self.rigs)
+
+
+def compare(
+    study: Study | Given,
+    rigs: Sequence[Rig | Given],
+    tolerance: float | None = None,
+    on_progress: OnProgress = silent,
+) -> Comparison:
+    """Evaluate 2 to 10 rigs in a study, side by side.
+
+    Study and rigs are files, dicts with their keys, or loaded. With a relative tolerance max VSR is extrapolated to it,
+    too. `on_progress` is told the fraction done, and the rig that is evaluated. Raises ConfigError as `evaluate` does.
+    """
+    check_count(len(rigs))
+    study = loaded(study, load_study, Study)
+    mounted = [loaded(rig, load_rig, Rig) for rig in rigs]
+    named = []
+    for n, (given, rig) in enumerate(zip(rigs, mounted, strict=True)):
+        name = str(given) if isinstance(given, str | Path) else rig.name
+
+        def on_evaluated(fraction: float, n: int = n, name: str = name) -> None:
+            on_progress((n + fraction) / len(rigs), name)
+
+        on_evaluated(0.0)
+        found = evaluate(study, rig, tolerance, on_progress=on_evaluated)
+        named.append((name, rig, report_inputs(study, rig, found, cheap_cuboids=0).without_cuboids()))
+    return Comparison(study, tuple(contenders(named)))
 
 
 def check_count(rigs: int) -> None:

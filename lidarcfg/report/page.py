@@ -41,6 +41,11 @@ def page(
     return _environment().get_template("page.html").render(values, verdict=verdict)
 
 
+def fragment(parts: Iterable[Part]) -> Markup:
+    """Parts without a page around them."""
+    return _part("parts", parts)
+
+
 def facts(rows: FactRows) -> Markup:
     """What each of some things is."""
     return _part("facts", rows)

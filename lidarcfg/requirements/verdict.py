@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from lidarcfg.notebook import Shown
+
 
 @dataclass(frozen=True)
 class WorstPlace:
@@ -134,7 +136,7 @@ def at_most(name: str, kind: str, most: float, reached: float, unit: str = "") -
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Verdict(Shown):
     """Whether a rig meets all requirements of a study."""
 
     requirements: tuple[RequirementVerdict, ...]

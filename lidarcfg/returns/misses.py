@@ -23,6 +23,7 @@ from pydantic import Field
 from lidarcfg.config.models import Model, Name, Weight
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.notebook import Shown
 from lidarcfg.returns.known import KnownReturns, Standing
 from lidarcfg.returns.places import Distances, Sector, Stand, StandZone
 from lidarcfg.returns.target import ObjectFile, Target, target_of
@@ -100,7 +101,7 @@ class ObjectMisses:
 
 
 @dataclass(frozen=True)
-class MissesFound:
+class MissesFound(Shown):
     """How often a rig misses objects."""
 
     objects: tuple[ObjectMisses, ...]

@@ -23,8 +23,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
+from lidarcfg.notebook import Shown
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.search.chooser import Chooser
 from lidarcfg.search.combinations import Combination, distinct_combinations
@@ -37,6 +40,7 @@ from lidarcfg.search.start_rigs import points_by_combination
 from lidarcfg.search.transfer import Example, transferred
 from lidarcfg.search.workers import Job, Workers
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.study.loading import load_study
 from lidarcfg.study.study import Study
 
 CONSTRAINTS = "the constraints"  # which a combination misses as long as no rig of it that was tried keeps them
@@ -68,7 +72,7 @@ class SearchedCombination:
 
 
 @dataclass(frozen=True)
-class Cheapest:
+class Cheapest(Shown):
     """The cheapest rig that meets all requirements; or where none was found, the one that comes closest."""
 
     combination: Combination
@@ -87,7 +91,7 @@ class Cheapest:
 
 
 def cheapest(
-    study: Study,
+    study: Study | Given,
     threads: int | None = None,
     on_turn: Callable[["CheapestRun"], None] | None = None,
     workers: Workers | None = None,
@@ -97,12 +101,13 @@ def cheapest(
 ) -> Cheapest:
     """Find the cheapest combination of a study with a rig that meets all requirements.
 
-    `rigs` are tried first, each in the combination whose models it has. `log` resumes an earlier search. With `workers`
-    combinations are searched there, each by one thread; the result is the same, unless the budget ends within a round,
-    as the last ones may be others. An interrupt (Ctrl-C) ends the search and keeps what is found so far. Raises
-    ConfigError without a choice, without requirements, for rigs that the study does not allow, and if no combination
-    has a rig that meets the constraints.
+    The study is a file, a dict with its keys, or loaded. `rigs` are tried first, each in the combination whose models
+    it has. `log` resumes an earlier search. With `workers` combinations are searched there, each by one thread; the
+    result is the same, unless the budget ends within a round, as the last ones may be others. An interrupt (Ctrl-C)
+    ends the search and keeps what is found so far. Raises ConfigError without a choice, without requirements, for rigs
+    that the study does not allow, and if no combination has a rig that meets the constraints.
     """
+    study = loaded(study, load_study, Study)
     run = CheapestRun(study, threads, on_turn, log, skip, rigs, workers)
     return run.result(interrupted=run.run(workers))
 

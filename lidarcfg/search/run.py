@@ -10,6 +10,7 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.notebook import Shown
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.returns.misses import MissesFound
 from lidarcfg.search.log import Log
@@ -66,7 +67,7 @@ class Believed:
 
 
 @dataclass(frozen=True)
-class Placement:
+class Placement(Shown):
     """The best rig found, and how it was found."""
 
     rig: Rig

@@ -33,6 +33,7 @@ from lidarcfg.config.models import (
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, pose
+from lidarcfg.notebook import Shown
 from lidarcfg.sensors.realism import Realism, RealismOrName, resolved
 from lidarcfg.sensors.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
 from lidarcfg.units import MINUTE_NS
@@ -42,6 +43,7 @@ SENSORS_MAX = 1000
 MOUNT_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # it becomes part of file names
 MountName = Annotated[str, Field(pattern=MOUNT_NAME, max_length=NAME_MAX)]
 ReturnMode = Literal["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]
+Clock = Literal["ptp", "gps", "free"]  # what sets a sensor's clock
 SINGLE: tuple[ReturnMode, ...] = ("strongest", "last", "first")  # all others report two returns of a firing
 FIRST_HOST = ipaddress.IPv4Address("192.168.1.201")
 LAST_HOST = ipaddress.IPv4Address("192.168.1.254")
@@ -59,6 +61,7 @@ def _check_range(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
+VlanId = Annotated[int, Field(ge=1, le=4094)]  # IEEE 802.1Q; 0 and 4095 are reserved
 Range = Annotated[tuple[Distance, Distance], AfterValidator(_check_range)]  # least, greatest
 
 
@@ -76,6 +79,9 @@ class MountFile(Model):
     host: str | None = None
     data_port: Port | None = None  # none: as the sensor's file says
     telemetry_port: Port | None = None
+    destination: str | None = None  # none: as the sensor's file says
+    vlan_id: VlanId | None = None
+    clock: Clock | None = None  # none: a Velodyne's is set by GPS, others by PTP
     rpm: Positive = RPM
     return_mode: ReturnMode = RETURN_MODE
     azimuth_fov_deg: AzimuthFov | None = None
@@ -102,11 +108,11 @@ class MountFile(Model):
             )
         if self.rpy_rad is not None and self.rpy_deg is not None:
             raise validation_error("conflicts with rpy_rad; give only one of them", "rpy_deg")
-        if self.host is not None:
+        for key, given in (("host", self.host), ("destination", self.destination)):
             try:
-                ipaddress.IPv4Address(self.host)
+                ipaddress.IPv4Address(given if given is not None else FIRST_HOST)
             except ValueError:
-                raise validation_error(f"{self.host!r} is not an IPv4 address such as {FIRST_HOST}", "host") from None
+                raise validation_error(f"{given!r} is not an IPv4 address such as {FIRST_HOST}", key) from None
         return self
 
 
@@ -155,11 +161,19 @@ class Mount:
     telemetry_port: int
     rpm: float
     return_mode: ReturnMode
+    destination: str | None = None  # the address it sends to, or a multicast group; None: as the sensor's file says
+    vlan_id: int | None = None  # of its packets' tag; None: they have none
+    clock: Clock | None = None  # what its packets say of it; None: as they usually do
     azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise, where it fires; None: all around
     range_m: tuple[float, float] | None = None  # least, greatest, in placement; None: the sensor's
     phase_deg: float | None = None  # where the head points at each whole second; None: at 0 when it starts
     settings: Section = field(default_factory=lambda: Section({}))  # what the sensor's codec reads
     realism: Realism | None = None  # None: exact
+
+    def __repr__(self) -> str:
+        at = ", ".join(f"{value:g}" for value in self.position_m)
+        turned = ", ".join(f"{math.degrees(angle):g}" for angle in self.rpy_rad)
+        return f"<Mount {self.name}: {self.sensor.name} at ({at}) m, rpy ({turned})°>"
 
     @property
     def dual(self) -> bool:
@@ -178,12 +192,15 @@ class Mount:
 
 
 @dataclass(frozen=True)
-class Rig:
+class Rig(Shown):
     """Sensors mounted on a vehicle."""
 
     name: str
     mounts: tuple[Mount, ...]
     vehicle: Section | None = None  # what they are mounted on, as world/vehicle.py reads it; None: not known
+
+    def __repr__(self) -> str:
+        return f"<Rig {self.name}: {', '.join(f'{mount.name} ({mount.sensor.name})' for mount in self.mounts)}>"
 
     def without(self, *names: str) -> "Rig":
         """The rig without some sensors. Raises ConfigError for names that it does not have, and if none is left."""
@@ -306,6 +323,9 @@ def _mount(path: Path, index: int, given: MountFile, sensor: Sensor, model: str 
         host=host,
         data_port=given.data_port or data_port,
         telemetry_port=given.telemetry_port or telemetry_port,
+        destination=given.destination,
+        vlan_id=given.vlan_id,
+        clock=given.clock,
         rpm=given.rpm,
         return_mode=given.return_mode,
         azimuth_fov_deg=azimuth_fov_deg,
@@ -384,6 +404,9 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
                 "host": mount.host,
                 "data_port": mount.data_port,
                 "telemetry_port": mount.telemetry_port,
+                **({"destination": mount.destination} if mount.destination else {}),
+                **({"vlan_id": mount.vlan_id} if mount.vlan_id is not None else {}),
+                **({"clock": mount.clock} if mount.clock else {}),
                 **({} if mount.sensor.scan_pattern else {"rpm": mount.rpm}),
                 "return_mode": mount.return_mode,
                 **({"azimuth_fov_deg": list(mount.azimuth_fov_deg)} if mount.azimuth_fov_deg else {}),

@@ -261,6 +261,11 @@ class Sensor(Model):
             raise ValueError(f"is not within {self.name}'s own, {whole[0]:g} to {whole[1]:g}")
         return given
 
+    def __repr__(self) -> str:
+        return f"<Sensor {self.name}: {self.count} lasers>"
+
+    __str__ = __repr__
+
     @property
     def section(self) -> Section:
         """The key that the codec reads. Raises ConfigError if it is missing."""

@@ -33,6 +33,7 @@ from lidarcfg.simulate.sensor_runs import (
 from lidarcfg.units import MINUTE_NS
 
 RETURN_BYTES = 60  # of a scan that waits for those of other sensors; measured on a street, where 5 of 6 rays return
+ROUNDING = 1e-9  # of revolutions
 LAST = 1  # a type of return
 SECOND_STRONGEST = 2  # another
 STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the other may be the strongest instead
@@ -139,6 +140,7 @@ class _RevolutionCounter:
     zero_ns: int
     zero: float  # revolutions at that time
     begin_rad: float  # where revolutions begin
+    last: int  # the number of the last one: lasers that fire a little after the duration's end are of it
 
     @classmethod
     def of(cls, run: SensorRun) -> "_RevolutionCounter":
@@ -148,12 +150,16 @@ class _RevolutionCounter:
         everywhere = replace(mount, azimuth_fov_deg=None)
         first = next(iter(run.timing.schedule(everywhere, run.start_ns, [range(1)]))).firings
         ahead = (first.encoder_rad[0] - begin_rad) % (2 * math.pi) / (2 * math.pi)
-        return cls(mount.rpm / MINUTE_NS, int(first.time_ns[0]), float(ahead), begin_rad)
+        rate = mount.rpm / MINUTE_NS
+        zero_ns = int(first.time_ns[0])
+        turned = ahead + (run.start_ns + run.duration_ns - zero_ns) * rate
+        return cls(rate, zero_ns, float(ahead), begin_rad, math.ceil(turned - ROUNDING) - 1)
 
     def number(self, time_ns: Times, encoder_rad: Array) -> Times:
         """(N,): the revolutions of firings."""
         part = (encoder_rad - self.begin_rad) % (2 * math.pi) / (2 * math.pi)
-        return np.rint(self.zero + (time_ns - self.zero_ns) * self.rate - part).astype(np.int64)
+        number = np.rint(self.zero + (time_ns - self.zero_ns) * self.rate - part).astype(np.int64)
+        return np.minimum(number, self.last)
 
 
 def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCloud]:

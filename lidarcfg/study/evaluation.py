@@ -12,6 +12,7 @@ from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
+from lidarcfg.notebook import Shown
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.returns.misses import MissesFound
@@ -142,7 +143,7 @@ class Worst:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class Evaluation(Shown):
     """How well a rig does in a study."""
 
     subspaces: Subspaces

@@ -6,6 +6,7 @@ from typing import Any
 
 from lidarcfg.config.models import NAME_MAX
 from lidarcfg.geometry import Array
+from lidarcfg.notebook import Shown
 from lidarcfg.requirements.resolved import Requirements
 from lidarcfg.requirements.robustness import Robust
 from lidarcfg.returns.misses import Misses
@@ -27,7 +28,7 @@ from lidarcfg.world.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(Shown):
     """What a study's file says, resolved."""
 
     name: str
@@ -47,6 +48,9 @@ class Study:
     detection_targets: tuple[DetectionTarget, ...] = ()  # the objects that are detected by returns
     misses: Misses | None = None  # what a rig may miss around the vehicle; None: there is none
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
+
+    def __repr__(self) -> str:
+        return f"<Study {self.name}: {len(self.slots)} sensors, {int(self.region.included.sum()):,} cuboids>"
 
     @cached_property
     def space(self) -> SearchSpace:

@@ -69,6 +69,10 @@ class Scene:
     motions: tuple[Motion | None, ...]  # (objects,) None: static
     places_m: Array  # (objects, 3) the origin of each object's own frame at time 0, about which it rotates
     items: tuple[Ground | SceneObject, ...] = ()  # (objects,) what each was made from
+
+    def __repr__(self) -> str:
+        return f"<Scene {self.file.name}: {len(self.names):,} objects, {len(self.triangles):,} triangles>"
+
     path: Path | None = field(default=None, compare=False)  # of the scene's file
 
     @classmethod

@@ -149,6 +149,9 @@ class Vehicle:
     closed: dict[str, Mesh]  # closed boxes and meshes by name, their vertices merged
     warnings: tuple[str, ...]  # what looks wrong with its meshes
 
+    def __repr__(self) -> str:
+        return f"<Vehicle: {', '.join(self.scene.names)}>"
+
     @classmethod
     def from_meshes(
         cls,

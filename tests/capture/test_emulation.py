@@ -237,8 +237,8 @@ def test_what_hesais_drivers_ask(hesai):
             b"\x19\0\x20", b"\x1a\0\x10"
         )  # offset, model 26, motor, 16 lines
         assert inventory[38:40] == bytes(map(int, HOSTS["hesai"].split(".")))[2:]
-        assert query(0x06, b"\1") == (5, b"")
-        assert running.told("asks for PTC command 0x06, which is not emulated")
+        assert query(0x0C) == (5, b"")
+        assert running.told("asks for PTC command 0x0C, which is not emulated")
         assert query(0x17, b"\4\xb0") == (1, b"")
         assert running.told("sets the motor's speed, which the capture does not have: refused")
         assert query(0x20, b"short") == (1, b"")

@@ -227,7 +227,7 @@ def test_one_sensor_needs_what_is_its_own_only(rig, still, tmp_path):
         decoded(path)
     metadata = (still[0].parent / "mixed-roof.json").read_bytes()
     (tmp_path / "mixed-roof.json").write_bytes(metadata[:3000])
-    with pytest.raises(PacketError, match=r"a .json named as the capture beside it; .*/mixed-roof.json is not that$"):
+    with pytest.raises(PacketError, match=r"a .json named as the capture .*; .*/mixed-roof.json is not that$"):
         decoded(path)
     (tmp_path / "mixed-roof.json").write_bytes(metadata)
     (tmp_path / "mixed-left-192.168.1.202-2368-angles.csv").unlink()

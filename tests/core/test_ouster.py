@@ -88,7 +88,7 @@ def expected(packets, layout, profile, beams):
 
 @given(
     seed=st.integers(0, 99),
-    words=st.integers(1, 4),
+    words=st.integers(1, 5),
     returns=st.integers(1, 2),
     pixels=st.integers(1, 21),
     share=st.sampled_from([0.0, 0.1, 0.8, 1.0]),
@@ -109,7 +109,7 @@ def test_points_are_those_of_the_formulas(seed, words, returns, pixels, share, t
         np.testing.assert_array_equal(mine[:count], other)
 
 
-@pytest.mark.parametrize("words", [1, 2, 3, 4])
+@pytest.mark.parametrize("words", [1, 2, 3, 4, 5])
 def test_fields_are_written_and_read(words):
     layout = layout_of(words, 5)
     bits = np.array([(0, 0, 0xFFFF), (words - 1, 16, 0xFF), (words - 1, 24, 0xFF), (0, 0, 0)])
@@ -174,7 +174,7 @@ def test_the_crc_is_that_of_the_standard():
         (lambda a: a.update(packets=a["packets"].astype(np.int8)), "packets"),
         (lambda a: a.update(packets=a["packets"][:, ::2]), "packets"),
         (lambda a: a.update(packets=a["packets"][:, :40].copy()), "layout"),
-        (lambda a: setattr(a["layout"], "pixel", 20), "layout"),
+        (lambda a: setattr(a["layout"], "pixel", 24), "layout"),
         (lambda a: setattr(a["layout"], "column", 16), "layout"),
         (lambda a: setattr(a["layout"], "head", -4), "layout"),
         (lambda a: setattr(a["layout"], "pixels", 1 << 40), "layout"),

@@ -1,5 +1,6 @@
 """Plain-loop twins for Ouster's packets, written from the sensor documentation's tables ("Sensor Data": data packet
-formats, lidar range to XYZ) and the text of CRC-64/ECMA-182."""
+formats, lidar range to XYZ) and the text of CRC-64/ECMA-182. Those with zones, colours and window states are not on these
+pages; they are read off the names of ouster-sdk's tables."""
 
 import json
 import math
@@ -13,6 +14,18 @@ PIXELS = {
         16,
         [((0, 19, 0), (24, 8, 0), (64, 16, 0)), ((32, 19, 0), (56, 8, 0), (80, 16, 0))],
     ),
+    "RNG19_RFL8_SIG16_NIR16_ZONE16": (12, [((0, 19, 0), (32, 8, 0), (48, 16, 0))]),
+    "RNG19_RFL8_SIG16_ZONE16_DUAL": (
+        16,
+        [((0, 19, 0), (24, 8, 0), (64, 16, 0)), ((32, 19, 0), (56, 8, 0), (80, 16, 0))],
+    ),
+    "RNG19_RFL8_SIG16_NIR16_RGB16": (16, [((0, 19, 0), (24, 8, 0), (32, 16, 0))]),
+    "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL": (
+        20,
+        [((0, 19, 0), (24, 8, 0), (64, 16, 0)), ((32, 19, 0), (56, 8, 0), (80, 16, 0))],
+    ),
+    "RNG15_RFL8_WIN8": (4, [((0, 15, 3), (16, 8, 0), None)]),
+    "RNG15_RFL8_NIR8_ZONE16": (8, [((0, 15, 3), (16, 8, 0), None)]),
     "RNG15_RFL8_NIR8": (4, [((0, 15, 3), (16, 8, 0), None)]),
     "RNG15_RFL8_NIR8_DUAL": (8, [((0, 15, 3), (16, 8, 0), None), ((32, 15, 3), (48, 8, 0), None)]),
     "FUSA_RNG15_RFL8_NIR8_DUAL": (8, [((0, 15, 3), (16, 8, 0), None), ((32, 15, 3), (48, 8, 0), None)]),
@@ -47,7 +60,7 @@ def packet(
 ) -> bytes:
     """A lidar packet: of each column time, measurement id, whether it is valid, and its pixels."""
     out = b""
-    if profile.startswith("FUSA"):
+    if profile.startswith("FUSA") or head.get("fusa"):
         out = struct.pack("<I", 1 | head["init"] << 8) + struct.pack("<I", head["frame"])
         out += bytes([head["alerts"], 0, 0]) + head["serial"].to_bytes(5, "little")
     elif profile != "LEGACY":

@@ -30,6 +30,7 @@ VARIANTS = {  # of models, by keys of their mounts
     ),
     "vls-128": ({"rpm": 300, "azimuth_fov_deg": [10, 200], "phase_deg": 12.5},),
     "hdl-64e-s3": ({"rpm": 900, "velodyne": {"pps": "absent"}},),
+    "pandar-xt32": ({"hesai": {"turns_while_firing": True}}, {"destination": "239.0.0.1", "vlan_id": 9}),
     "qt128": ({"rpm": 1200, "azimuth_fov_deg": [350, 30]}, {"rpm": 1200, "phase_deg": 200}),
     "helios-16p": ({"rpm": 1200, "azimuth_fov_deg": [90, 180]}, {"rpm": 300, "phase_deg": 45}),
     "os0-32": (

@@ -56,7 +56,7 @@ void check(const Layout& layout, Rows<const Byte> packets) {
     require(is_within(one, 0, size_max), "layout: negative, or too large");
   }
   require(layout.columns > 0 && layout.pixels > 0, "layout: without pixels");
-  require(layout.pixel % 4 == 0 && is_within(layout.pixel, 4, 16), "layout: pixels of another size than 4, 8, 12, 16");
+  require(layout.pixel % 4 == 0 && is_within(layout.pixel, 4, 20), "layout: pixels of another size than 4, 8, 12, 16, 20");
   require(layout.column_head >= 12 && layout.column_head + layout.pixels * layout.pixel <= layout.column,
           "layout: columns without room for their pixels");
   require(layout.head + layout.columns * layout.column <= packets.columns(), "layout: larger than a packet");

@@ -45,15 +45,21 @@ template <int pixel_words>
 Units gather(const Byte* from) {
   constexpr auto each = std::make_index_sequence<group>();
   const auto part = [from](int n) { return simd::load<Units>(from + n * sizeof(Units)); };
-  static_assert(1 <= pixel_words && pixel_words <= 4);
+  static_assert(1 <= pixel_words && pixel_words <= 5);
   if constexpr (pixel_words == 1) {
     return part(0);
   } else if constexpr (pixel_words == 2) {
     return every_second(part(0), part(1), each);
   } else if constexpr (pixel_words == 3) {
     return every_third(part(0), part(1), part(2), each);
-  } else {
+  } else if constexpr (pixel_words == 4) {
     return every_second(every_second(part(0), part(1), each), every_second(part(2), part(3), each), each);
+  } else {
+    Units out{};
+    for (Index k = 0; k < group; ++k) {
+      out[k] = read<std::uint32_t>(from + k * pixel_words * word_size);
+    }
+    return out;
   }
 }
 
@@ -267,8 +273,10 @@ Index decode_points(Rows<const Byte> packets, const Profile& profile, const Beam
       return decode_all<2>(packets, profile, beams, out);
     case 3:
       return decode_all<3>(packets, profile, beams, out);
-    default:
+    case 4:
       return decode_all<4>(packets, profile, beams, out);
+    default:
+      return decode_all<5>(packets, profile, beams, out);
   }
 }
 

@@ -18,7 +18,7 @@ struct Layout {
   Index column;       // from one column to the next
   Index column_head;  // before a column's first pixel
   Index pixels;       // of a column
-  Index pixel;        // from one pixel to the next: 4, 8, 12 or 16
+  Index pixel;        // from one pixel to the next: 4, 8, 12, 16 or 20
 
   Index packet_pixels() const { return columns * pixels; }
 };

@@ -6,22 +6,28 @@ of the package uses.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
 from lidarcfg.packets.emulator import NetworkSite
 from lidarcfg.packets.hesai import decode, encode, telemetry
 from lidarcfg.packets.hesai.emulator import HesaiEmulator
-from lidarcfg.packets.hesai.layout import bytes_of
-from lidarcfg.packets.hesai.model import HesaiFacts, HesaiSettings, HesaiUnit, batches, unit, unit_of
-from lidarcfg.packets.point_fields import STAMPED
+from lidarcfg.packets.hesai.layout import bytes_of, device_time_ns
+from lidarcfg.packets.hesai.model import HesaiFacts, HesaiSettings, HesaiUnit, batches, turning, unit, unit_of
+from lidarcfg.packets.inertial import measured
+from lidarcfg.packets.point_fields import HESAI
 from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch, PacketPace, Pattern, ranked
 from lidarcfg.sensors.rig import SINGLE, Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.units import MINUTE_NS
+
+if TYPE_CHECKING:
+    from lidarcfg.world.motion import Trajectory
 
 __all__ = ["Hesai", "HesaiFacts", "HesaiSettings", "HesaiUnit", "unit"]
 
@@ -29,7 +35,7 @@ __all__ = ["Hesai", "HesaiFacts", "HesaiSettings", "HesaiUnit", "unit"]
 class Hesai(Codec):
     """The packets of one Hesai sensor, whose clock is taken as set by PTP: it sends no GPS packets."""
 
-    point_fields = STAMPED
+    point_fields = HESAI
     facts_model = HesaiFacts
     settings_model = HesaiSettings
 
@@ -38,6 +44,7 @@ class Hesai(Codec):
 
     def check(self, mount: Mount) -> None:
         assert unit_of(self.unit, mount).unit_mm
+        check_clock(mount, "ptp")
         pairs = [pair.mode for pair in self.unit.facts.packet.pairs]
         if mount.dual and mount.return_mode not in pairs:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
@@ -54,6 +61,14 @@ class Hesai(Codec):
         packets = encode.encode(unit_of(self.unit, mount), mount, batch, range_m, reflectivity)
         headers = self.unit.facts.headers
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
+
+    def with_inertial(self, mount: Mount, trajectory: "Trajectory", payloads: Payloads) -> Payloads:
+        """In protocol 1.4, one at each packet's stamp, in the sensor's frame."""
+        if not self.unit.facts.packet.inertial:
+            return payloads
+        packets = self.unit.packets_of(payloads.data.copy())
+        encode.write_inertial(packets, *measured(mount, trajectory, np.zeros(3), device_time_ns(packets)))
+        return replace(payloads, data=bytes_of(packets))
 
     def fired_ns(self, mount: Mount, batch: FiringBatch, range_m: Array) -> Times:
         """Some lasers of a Pandar128 have a separate firing for near targets."""
@@ -76,6 +91,11 @@ class Hesai(Codec):
         return {**telemetry.correction_file(self.unit, mount), **telemetry.firing_times_file(self.unit, mount)}
 
     @classmethod
+    def sidecar_suffix(cls, name: str, content: bytes) -> str | None:
+        """Of angles, or of firing times."""
+        return telemetry.suffix_of(content)
+
+    @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
         """By its first bytes only; `identify` finds the model."""
         return decode.matches(size, payload)
@@ -85,7 +105,8 @@ class Hesai(Codec):
         return decode.identify(source.where, packets, _units(known)).sensor
 
     def decoder(self, source: PacketSource, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        unit = decode.as_sent(source.where, self.unit, packets)
+        settings = source.settings.checked(HesaiSettings)
+        unit = decode.as_sent(source.where, turning(self.unit, settings.turns_while_firing), packets)
         beams = telemetry.find_corrections(source, unit.count)
         if beams is None:
             what = f"no *{telemetry.SUFFIX} beside it; the nominal angles of {unit.name} are taken"
@@ -96,7 +117,8 @@ class Hesai(Codec):
 
     def emulator(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> HesaiEmulator:
         """Answers PTC commands."""
-        return HesaiEmulator(self.unit, source, site)
+        unit = decode.as_sent(source.where, self.unit, packets)
+        return HesaiEmulator(unit, source, unit.packets_of(packets), site)
 
     def firing_ns(self) -> Times:
         """(L,) in the first loop; for a laser that rests there, in the next in which it does not."""
@@ -104,14 +126,16 @@ class Hesai(Codec):
         return np.asarray(self.unit.offset_ns[first, np.arange(self.unit.count)])
 
     def pattern(self, mount: Mount) -> Pattern:
-        """All lasers of a group fire where the head is at its start."""
+        """Lasers of a group are in the field of view together, by where the head is at its start."""
         unit = unit_of(self.unit, mount)
         loops = len(unit.lasers)
         groups = unit.groups(True) if mount.dual and loops > 1 else 1  # of a packet are of one loop
         loop = np.repeat(np.arange(loops), groups)
         group_rad = unit.facts.firing.period_ns * (2 * np.pi * mount.rpm / MINUTE_NS)
-        lag_rad = np.repeat(np.arange(len(loop)) * group_rad, unit.lasers.shape[1])
-        return Pattern(len(loop) * group_rad, unit.lasers[loop].ravel(), lag_rad, lag_rad)
+        begin_rad = np.repeat(np.arange(len(loop)) * group_rad, unit.lasers.shape[1])
+        lag_ns = np.take_along_axis(unit.lag_ns, unit.lasers, axis=1)[loop].ravel()
+        lag_rad = begin_rad + lag_ns * (2 * np.pi * mount.rpm / MINUTE_NS)
+        return Pattern(len(loop) * group_rad, unit.lasers[loop].ravel(), lag_rad, begin_rad)
 
 
 def _units(known: KnownSensors) -> Sequence[HesaiUnit]:

@@ -1,8 +1,9 @@
 """Decodes packets into points: which model sends them, what they hold, how many are lost."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from lidarcfg.packets.hesai.layout import (
     is_dual,
     return_bytes,
 )
-from lidarcfg.packets.hesai.model import HesaiUnit, resolutions, sending
+from lidarcfg.packets.hesai.model import HesaiUnit, resolutions, sending, turning
 from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
 from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST
 from lidarcfg.units import MINUTE_NS
@@ -95,17 +96,20 @@ class HesaiDecoder(Decoder):
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> DecodedReturns:
         return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False, driver_view=self._driver_view)
 
+    def driver_columns(self, packets: Bytes, wanted: Flags) -> Mapping[str, NDArray[Any]]:
+        return {"channel": decode(self._unit, self._unit.packets_of(packets), wanted, polar=False).laser}
+
 
 def decode(
     unit: HesaiUnit, packets: Packets, wanted: Flags | None = None, polar: bool = True, driver_view: bool = False
 ) -> DecodedReturns:
     """The returns of packets (P,), or of those that are wanted (P,). Without `polar`, ranges and azimuths are empty.
 
-    All lasers of a block point where its azimuth says, as published drivers have it: see docs/hesai.md. With
-    `driver_view`, each points where the head has turned when it fires, as in Hesai's SDK with its firing time file.
-    Raises PacketError.
+    Where lasers point while the head turns, the unit says: see docs/hesai.md. With `driver_view` angles and times are
+    those of Hesai's SDK with its firing time file. Raises PacketError.
     """
     check(unit, packets)
+    unit = turning(unit, True) if driver_view else unit
     wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
     modes = packets["tail"]["return_mode"]
     near = np.zeros(256, np.uint8)
@@ -123,7 +127,8 @@ def decode(
         dual=dual,
         near=near[modes],
         far=far[modes],
-        turn=packets["tail"]["rpm"] * (driver_view * unit.facts.packet.speed_unit_rpm * 2 * np.pi / MINUTE_NS),
+        turn=packets["tail"]["rpm"]
+        * (unit.facts.turning.while_firing * unit.facts.packet.speed_unit_rpm * 2 * np.pi / MINUTE_NS),
     )
     data = bytes_of(packets)
     decoder = _decoder(unit)
@@ -212,7 +217,7 @@ def _decoder(unit: HesaiUnit) -> core.HesaiDecoder:
         ring=sensor.ring.astype(np.uint8),
         offset_ns=np.concatenate([one.offset_ns for one in resolutions(unit)]),
         near_ns=np.concatenate([one.near_ns for one in resolutions(unit)]),
-        lag_ns=np.concatenate([one.driver_lag_ns for one in resolutions(unit)]),
+        lag_ns=np.concatenate([one.lag_ns for one in resolutions(unit)]),
     )
     facts = unit.facts.packet
     return core.HesaiDecoder(lasers, facts.blocks, return_bytes(unit.dtype), unit.near_m, facts.least_units)

@@ -17,9 +17,10 @@ from lidarcfg.packets.hesai.layout import (
     azimuth_state_of,
     bytes_of,
     date_of,
+    device_time_ns,
     return_bytes,
 )
-from lidarcfg.packets.hesai.model import HesaiUnit, within
+from lidarcfg.packets.hesai.model import HesaiUnit, head_rad, within
 from lidarcfg.sensors.firing import FiringBatch
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
@@ -28,6 +29,9 @@ COLUMNS = ("time_ns", "laser", "encoder_rad")
 VERSION = 1
 COUNTER_NS = 5_111_060  # the rolling counter's step, 46 periods, as recorded
 COUNTERS = 6  # its values 0 to 5
+TICK_NS = 25  # of the inertial measurements' clock: udp_protocol_v1_4.h
+UNITS = 122, 763  # of accelerations, 1e-6 g; of rates, 1e-5 degrees a second: 4 g and 250 degrees a second, a guess
+MOTION_MAX = 32767
 
 
 def encode(unit: HesaiUnit, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
@@ -38,10 +42,11 @@ def encode(unit: HesaiUnit, mount: Mount, batch: FiringBatch, range_m: Array, re
     shape = len(packets), unit.groups(dual), unit.lasers.shape[1]
     time_ns, laser, encoder_rad = (getattr(batch.firings, key).reshape(shape) for key in COLUMNS)
     loop = _loops(unit, laser) if batch.loop is None else batch.loop
-    inside = within(mount, encoder_rad[:, :, 0])
+    head = head_rad(unit, mount, loop, laser[:, :, 0], encoder_rad[:, :, 0])
+    inside = within(mount, head)
     blocks = packets["blocks"]
     facts = unit.range
-    blocks["azimuth"] = np.repeat(azimuth_of(encoder_rad[:, :, 0]), 1 + dual, axis=1)
+    blocks["azimuth"] = np.repeat(azimuth_of(head), 1 + dual, axis=1)
     returns = blocks["returns"]
     if unit.facts.packet.protocol != "1.4":
         returns["confidence"] = unit.facts.packet.confidence
@@ -79,6 +84,16 @@ def encode(unit: HesaiUnit, mount: Mount, batch: FiringBatch, range_m: Array, re
         packets["operational_state"] = unit.operational_state
         write_safety(packets, stamp_ns)
     return packets
+
+
+def write_inertial(packets: Packets, acceleration_g: Array, rate_deg_s: Array) -> None:
+    """Write measurements (P, 3) at the stamps of packets (P,), then the checksum."""
+    inertial = packets["imu"]
+    inertial["units"] = UNITS
+    inertial["ticks"] = device_time_ns(packets) // TICK_NS % 2**32
+    motion = np.concatenate([acceleration_g * (1e6 / UNITS[0]), rate_deg_s * (1e5 / UNITS[1])], axis=1)
+    inertial["motion"] = np.clip(np.rint(motion), -MOTION_MAX, MOTION_MAX)
+    _write_tail_checksum(packets)
 
 
 def sent(unit: HesaiUnit, packets: Packets, return_mode: str, laser: Bytes) -> Flags:
@@ -164,4 +179,10 @@ def write_checksums(packets: Packets) -> None:
     if "safety" in at:
         end = at["safety"] + SAFETY.itemsize - 4
         packets["safety"]["crc"] = core.crc32_mpeg2(data, at["safety"] + 1, end)
-    packets["tail_crc"] = core.crc32_mpeg2(data, at["status"], at["tail_crc"])
+    _write_tail_checksum(packets)
+
+
+def _write_tail_checksum(packets: Packets) -> None:
+    assert packets.dtype.fields
+    begin, end = (packets.dtype.fields[key][1] for key in ("status", "tail_crc"))
+    packets["tail_crc"] = core.crc32_mpeg2(bytes_of(packets), begin, end)

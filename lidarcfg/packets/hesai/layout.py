@@ -38,7 +38,7 @@ TAIL = np.dtype(
         *[("factory", "u1"), ("sequence", "<u4")],
     ]
 )
-IMU = np.dtype([("temperature", "<i2"), ("units", "<u2", (2,)), ("time", "<u4"), ("rates", "<i2", (6,))])
+IMU = np.dtype([("temperature", "<i2"), ("units", "<u2", (2,)), ("ticks", "<u4"), ("motion", "<i2", (6,))])
 
 SEQUENCE = 0x01  # parts of a packet that the header's flags say
 INERTIAL = 0x02

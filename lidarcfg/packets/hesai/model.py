@@ -11,7 +11,17 @@ from lidarcfg.config.models import Model, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.headers import Header, Network
-from lidarcfg.packets.hesai.layout import FLAGS, HIGH_RESOLUTION, MODEL, SEQUENCE, STANDARD, Packets, Protocol, packet
+from lidarcfg.packets.hesai.layout import (
+    FLAGS,
+    HIGH_RESOLUTION,
+    INERTIAL,
+    MODEL,
+    SEQUENCE,
+    STANDARD,
+    Packets,
+    Protocol,
+    packet,
+)
 from lidarcfg.packets.sensor_unit import SensorUnit
 from lidarcfg.sensors.firing import FiringBatch, Firings
 from lidarcfg.sensors.rig import Mount
@@ -66,6 +76,13 @@ def rests(loops: tuple[Loop, ...]) -> list[list[bool]]:
     return [[offset is None for offset in loop] for loop in loops]
 
 
+class Turning(Model):
+    """Whether a laser points where the head has turned when it fires, or where its block's azimuth says."""
+
+    source: str = ""
+    while_firing: bool = False
+
+
 class Pair(Model):
     """Which returns two successive blocks hold in a dual mode."""
 
@@ -114,6 +131,11 @@ class HesaiPacketFacts(Model):
         """The header's flags of the packets that are sent."""
         return FLAGS[self.protocol] if self.flags is None else self.flags
 
+    @property
+    def inertial(self) -> bool:
+        """Whether the packets that are sent hold inertial measurements."""
+        return bool(self.header_flags & INERTIAL)
+
 
 class HesaiHeaders(Network):
     """The network headers of the sensor's datagrams."""
@@ -127,6 +149,7 @@ class HesaiFacts(Model):
 
     firing: LoopFiring
     high_resolution: LoopFiring | None = None  # the same in that mode
+    turning: Turning = Turning()
     packet: HesaiPacketFacts
     headers: HesaiHeaders
 
@@ -146,6 +169,7 @@ class HesaiSettings(Model):
     """The key `hesai` of a mount in a rig's file."""
 
     resolution: Resolution = "standard"
+    turns_while_firing: bool | None = None  # none: as the sensor's file says
 
 
 class HesaiUnit(SensorUnit[HesaiFacts]):
@@ -223,12 +247,15 @@ class HesaiUnit(SensorUnit[HesaiFacts]):
         return self.group_ns(dual) + late_ns
 
     @property
-    def driver_lag_ns(self) -> Times:
-        """(loops, L): how long the head turns before a laser fires, by Hesai's firing time file; 0 where it rests."""
-        start_ns = (
-            self.facts.firing.stamp_ns if self.facts.packet.protocol == "6.1" else 0
-        )  # else after the block's start
-        return np.where(self.fires, self.offset_ns + start_ns, 0)
+    def lag_ns(self) -> Times:
+        """(loops, L): how long the head turns from a block's azimuth to a laser's, by Hesai's firing time files."""
+        return np.where(self.fires, self.offset_ns + self.early_ns, 0) * self.facts.turning.while_firing
+
+    @property
+    def early_ns(self) -> int:
+        """How long before a block's start its azimuth is: firing time files of protocol 6.1 count from the stamp."""
+        from_stamp = self.facts.turning.while_firing and self.facts.packet.protocol == "6.1"
+        return self.facts.firing.stamp_ns if from_stamp else 0
 
     @property
     def _counts_from_start(self) -> bool:
@@ -272,9 +299,19 @@ def resolutions(unit: HesaiUnit) -> tuple[HesaiUnit, ...]:
     return (unit, HesaiUnit(unit.sensor, unit.facts.model_copy(update={"firing": high}))) if high else (unit,)
 
 
+@lru_cache(64)
+def turning(unit: HesaiUnit, while_firing: bool | None) -> HesaiUnit:
+    """The unit whose head turns while its lasers fire, or does not; None: as the sensor's file says."""
+    if while_firing is None:
+        return unit
+    return HesaiUnit(unit.sensor, unit.facts.model_copy(update={"turning": Turning(while_firing=while_firing)}))
+
+
 def unit_of(unit: HesaiUnit, mount: Mount) -> HesaiUnit:
-    """The unit in the resolution of a mount. Raises ConfigError with file, line and key."""
-    if mount.settings.checked(HesaiSettings).resolution == "standard":
+    """The unit with the settings of a mount. Raises ConfigError with file, line and key."""
+    settings = mount.settings.checked(HesaiSettings)
+    unit = turning(unit, settings.turns_while_firing)
+    if settings.resolution == "standard":
         return unit
     if unit.facts.high_resolution is None:
         raise mount.settings.error(("resolution",), f"'high' is not allowed; a {unit.name} has only standard")
@@ -303,10 +340,7 @@ def batches(unit: HesaiUnit, mount: Mount, start_ns: int, spans: Iterable[range]
 
 
 def _firings(unit: HesaiUnit, mount: Mount, start_ns: int, numbers: range) -> tuple[Firings, Times, Times, Flags]:
-    """Of the packets with these numbers: firings, which loop groups (P, G) are of, stamps (P,), and what is in view.
-
-    All lasers of a group fire where the head is at its start, as the group's azimuth says.
-    """
+    """Of the packets with these numbers: firings, which loop groups (P, G) are of, stamps (P,), and what is in view."""
     dual = mount.dual
     groups = unit.groups(dual)
     period_ns = unit.period_ns(dual)
@@ -314,26 +348,32 @@ def _firings(unit: HesaiUnit, mount: Mount, start_ns: int, numbers: range) -> tu
     after_ns = max(unit.facts.firing.stamp_ns, 0)  # nothing fires before the start
     starts_ns = after_ns + np.arange(groups) * unit.facts.firing.period_ns
     begun = revolutions(mount.rpm, period_ns, start_ns, numbers, mount.phase_deg)
-    turn = begun[:, None] + starts_ns * (mount.rpm / MINUTE_NS)
-    encoder_rad = (turn - np.floor(turn)) * (2 * np.pi)
+    begin = begun[:, None] + (starts_ns - unit.early_ns) * (mount.rpm / MINUTE_NS)
     number = np.array(numbers, np.int64)[:, None]
     group = np.arange(groups)
     loop = (number + 0 * group if dual else number * groups + group) % len(unit.lasers)
     lasers = unit.lasers
-    offset_ns = np.take_along_axis(unit.offset_ns, lasers, axis=1)
+    offset_ns, lag_ns = (np.take_along_axis(one, lasers, axis=1) for one in (unit.offset_ns, unit.lag_ns))
+    turn = begin[:, :, None] + (lag_ns * (mount.rpm / MINUTE_NS))[loop]
+    encoder_rad = (turn - np.floor(turn)) * (2 * np.pi)
     fired = Firings(
         time_ns=((first_ns[:, None] + starts_ns)[:, :, None] + offset_ns[loop]).ravel(),
         laser=lasers.astype(np.uint8)[loop].ravel(),
-        encoder_rad=np.repeat(encoder_rad, lasers.shape[1]),
+        encoder_rad=encoder_rad.ravel(),
     )
     stamp_ns = first_ns + starts_ns[-1] - unit.facts.firing.stamp_ns
-    return fired, loop, stamp_ns, within(mount, encoder_rad)
+    return fired, loop, stamp_ns, within(mount, head_rad(unit, mount, loop, lasers[loop, 0], encoder_rad[:, :, 0]))
 
 
-def within(mount: Mount, encoder_rad: Array) -> Flags:
+def head_rad(unit: HesaiUnit, mount: Mount, loop: Times, laser: Times, encoder_rad: Array) -> Array:
+    """(P, G) where the head is at the start of groups, which a block's azimuth says, by one laser's firing of each."""
+    return np.asarray(encoder_rad - unit.lag_ns[loop, laser] * (2 * np.pi * mount.rpm / MINUTE_NS))
+
+
+def within(mount: Mount, head_rad: Array) -> Flags:
     """Whether the head points into the mount's field of view, for head angles in any shape."""
     if mount.azimuth_fov_deg is None:
-        return np.ones(encoder_rad.shape, np.bool_)
+        return np.ones(head_rad.shape, np.bool_)
     low, high = mount.azimuth_fov_deg
     width = (high - low) % 360 or 360  # from 0 to 360 is all around
-    return np.asarray((np.degrees(encoder_rad) - low) % 360 <= width)
+    return np.asarray((np.degrees(head_rad) - low) % 360 <= width)

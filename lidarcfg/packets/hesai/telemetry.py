@@ -14,8 +14,9 @@ from lidarcfg.sensors.sensor import Beams
 SUFFIX = "-angles.csv"
 FIRING_TIMES = "-firetimes.csv"
 ENERGY_SAVING = 3  # an operational state of the Pandar128
-NAMED = re.compile(r"-\d+\.\d+\.\d+\.\d+-\d+-angles\.csv$")  # whose they are, by address and port
+NAMED = re.compile(r"-\d+\.\d+\.\d+\.\d+-\d+-(angles|firetimes)\.csv$")  # whose they are, by address and port
 ROW = re.compile(r"\s*(\d+)\s*,\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*,?\s*")
+OF_FIRING_TIMES = re.compile(r"fire ?time|firing|operation(al)? (state|mode)", re.IGNORECASE)  # words of their heads
 NO_ANGLE = re.compile(r"\s*\d+\s*,.*?([-+]?\b(?:nan|inf|infinity))\b.*", re.IGNORECASE)
 
 
@@ -36,22 +37,46 @@ def correction_file(unit: HesaiUnit, mount: Mount) -> Mapping[str, bytes]:
 
 
 def firing_times_file(unit: HesaiUnit, mount: Mount) -> Mapping[str, bytes]:
-    """The firing times of a sensor of protocol 1.4 as Hesai's own files have them, by the suffix of the file's name.
-
-    Those of a JT128 have one time for each channel, those of an OT128 one for each state, in microseconds; those of a
-    Pandar128 far and near ones, in nanoseconds. A channel that rests has "-", or 0.
-    """
+    """The firing times of a sensor of protocol 1.4, by the suffix of the file's name; of other sensors none."""
     if unit.facts.packet.protocol != "1.4":
         return {}
+    return {f"-{mount.host}-{mount.data_port}{FIRING_TIMES}": "\n".join([*firing_times_lines(unit), ""]).encode()}
+
+
+def firing_times_lines(unit: HesaiUnit) -> list[str]:
+    """The model's firing times as Hesai's own files have them.
+
+    Those of protocol 6.1 count from the packet's stamp, the others from a block's start. A QT128's have a pair of
+    columns for each loop, in the order of firing; a JT128's one time for each channel, an OT128's one for each state,
+    in microseconds; a Pandar128's far and near ones, in nanoseconds. A channel that rests has "-", or 0.
+    """
+    firing = unit.facts.firing
+    if unit.facts.packet.protocol == "6.1":
+        times_us = ((firing.stamp_ns + (offset or 0)) / 1000 for offset in firing.loops[0])
+        return ["Channel,fire time(us)", *(f"{channel},{time:g}" for channel, time in enumerate(times_us, 1))]
+    if unit.facts.packet.protocol == "3.2":
+        return _in_order(firing)
     firings = {one.operational_state: one.facts.firing for one in reversed(resolutions(unit))}
-    if unit.facts.firing.near:
-        firings[ENERGY_SAVING] = unit.facts.firing  # in which it fires as in the standard one: Hesai's file
-        lines = _near_and_far(firings)
-    elif len(unit.fires) > 1 or len(firings) > 1:
-        lines = _by_state(firings)
-    else:
-        lines = ["channel,firetime/us", *(f"{k},{_us(ns)}" for k, ns in enumerate(unit.facts.firing.loops[0], 1))]
-    return {f"-{mount.host}-{mount.data_port}{FIRING_TIMES}": "\n".join([*lines, ""]).encode()}
+    if firing.near:
+        firings[ENERGY_SAVING] = firing  # in which it fires as in the standard one: Hesai's file
+        return _near_and_far(firings)
+    if len(unit.fires) > 1 or len(firings) > 1:
+        return _by_state(firings)
+    return ["channel,firetime/us", *(f"{k},{_us(ns)}" for k, ns in enumerate(firing.loops[0], 1))]
+
+
+def _in_order(firing: LoopFiring) -> list[str]:
+    count = len(firing.loops)
+    loops = []
+    for loop in firing.loops:
+        fired = sorted((ns, channel) for channel, ns in enumerate(loop, 1) if ns is not None)
+        loops.append([(str(channel), _us(ns)) for ns, channel in fired])
+    return [
+        "EEFF,1,1,",
+        f"Horizontal Resolution Mode,1,LoopNum,{count}",
+        ",".join(f"Loop{k},Firetime{k}" for k in range(1, count + 1)),
+        *(",".join(word for pair in row for word in pair) for row in zip(*loops, strict=True)),
+    ]
 
 
 def _us(offset_ns: int | None) -> str:
@@ -88,6 +113,14 @@ def _near_and_far(firings: Mapping[int, LoopFiring]) -> list[str]:
     ]
 
 
+def find_firing_times(source: PacketSource) -> bytes:
+    """The firing time file beside the capture that is named after the source, or else the only one after none."""
+    files = source.sidecar_files(FIRING_TIMES)
+    own = [name for name in files if name.endswith(f"-{source.host}-{source.port}{FIRING_TIMES}")]
+    free = [name for name in files if not NAMED.search(name)]
+    return files[(own or free)[0]] if own or len(free) == 1 else b""
+
+
 def find_corrections(source: PacketSource, count: int) -> Beams | None:
     """The angles in the file beside the capture: the one named after the source, or else one named after no source.
 
@@ -105,6 +138,14 @@ def find_corrections(source: PacketSource, count: int) -> Beams | None:
         what = f"may belong to {' or '.join(right)}; name one of them …-{source.host}-{source.port}{SUFFIX}"
         raise PacketError(f"{source.where} {what}")
     return tables[right[0]] if right else None
+
+
+def suffix_of(content: bytes) -> str | None:
+    """The suffix of a file of angles or of firing times, by its content; None if it is neither."""
+    lines = content.decode("utf-8-sig", "replace").splitlines()
+    if any(OF_FIRING_TIMES.search(line) for line in lines[:3]):
+        return FIRING_TIMES
+    return SUFFIX if any(ROW.fullmatch(line) or NO_ANGLE.fullmatch(line) for line in lines) else None
 
 
 def parse_corrections(name: str, content: bytes) -> Beams:

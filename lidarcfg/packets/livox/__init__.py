@@ -16,7 +16,7 @@ from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, P
 from lidarcfg.packets.emulator import Emulator, NetworkSite
 from lidarcfg.packets.livox import decode, encode, telemetry
 from lidarcfg.packets.livox.emulator import LivoxEmulator
-from lidarcfg.packets.livox.layout import bytes_of, is_points, packet_of
+from lidarcfg.packets.livox.layout import bytes_of, headers_of, is_points, packet_of
 from lidarcfg.packets.livox.model import DATA_TYPES, LivoxFacts, LivoxSettings, LivoxUnit, batches, settings, unit
 from lidarcfg.packets.point_fields import LIVOX
 from lidarcfg.sensors.firing import STRONGEST, FiringBatch, PacketPace
@@ -65,7 +65,7 @@ class Livox(PatternTiming, Codec):
         seen_m = range_m[:, 0]
         if mount.azimuth_fov_deg:
             seen_m = np.where(in_view(mount, batch.firings.encoder_rad), seen_m, np.inf)
-        packets = encode.encode(self.unit, kind, batch, seen_m, reflectivity[:, 0])
+        packets = encode.encode(self.unit, kind, mount.clock or "ptp", batch, seen_m, reflectivity[:, 0])
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 
     def sent(self, mount: Mount, batch: FiringBatch, payloads: Payloads) -> Flags:
@@ -102,7 +102,7 @@ class Livox(PatternTiming, Codec):
     def emulator(self, source: PacketSource, packets: Bytes, site: NetworkSite) -> Emulator:
         """Answers discovery and commands."""
         kind, _ = decode.points_of(source.where, packets)
-        return LivoxEmulator(self.unit, kind, source.port, site)
+        return LivoxEmulator(self.unit, kind, int(headers_of(packets)["time_type"][0]), source.port, site)
 
     def firing_ns(self) -> Times:
         """(L,): the lasers fire in turn."""

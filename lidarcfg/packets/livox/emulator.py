@@ -12,7 +12,7 @@ import numpy as np
 from lidarcfg.packets.emulator import Answer, Emulator, NetworkSite, RequestError, Service, Target
 from lidarcfg.packets.livox import commands
 from lidarcfg.packets.livox.commands import Code, Command, CommandFrame, Key, WorkMode
-from lidarcfg.packets.livox.layout import HEADER, PTP, DataType, crcs, headers_of
+from lidarcfg.packets.livox.layout import HEADER, DataType, crcs, headers_of
 from lidarcfg.packets.livox.model import LivoxUnit
 
 FIND_PORT = 56000
@@ -30,11 +30,11 @@ HOSTS = {Key.STATE_HOST: "its state", Key.POINT_HOST: "points", Key.IMU_HOST: "i
 
 
 class LivoxEmulator(Emulator):
-    """One Livox, whose packets in the capture hold this kind of points and go to this port."""
+    """One Livox, whose packets in the capture hold this kind of points, say this of their time and go to this port."""
 
     own_ports = True
 
-    def __init__(self, unit: LivoxUnit, kind: DataType, port: int, site: NetworkSite) -> None:
+    def __init__(self, unit: LivoxUnit, kind: DataType, time_type: int, port: int, site: NetworkSite) -> None:
         device = unit.facts.device
         headers = unit.facts.headers
         self.name = unit.name
@@ -84,7 +84,7 @@ class LivoxEmulator(Emulator):
             Key.TIME: bytes(8),
             Key.LAST_SYNC: bytes(8),
             Key.TIME_OFFSET: bytes(8),
-            Key.SYNC: bytes([PTP]),
+            Key.SYNC: bytes([time_type]),
             Key.STATUS: bytes(8),
             Key.DIAGNOSIS: bytes(2),
             Key.FLASH: b"\0",

@@ -7,7 +7,7 @@ from lidarcfg.geometry import Array, Bytes, Flags
 from lidarcfg.packets.livox.layout import (
     HUNDREDTHS,
     INTERVAL_NS,
-    PTP,
+    TIME_TYPES,
     UNITS_PER_M,
     VERSION,
     DataType,
@@ -16,11 +16,14 @@ from lidarcfg.packets.livox.layout import (
 )
 from lidarcfg.packets.livox.model import LivoxUnit
 from lidarcfg.sensors.firing import FiringBatch, Firings
+from lidarcfg.sensors.rig import Clock
 
 DEGREES = 18000 / np.pi  # hundredths of one in a radian
 
 
-def encode(unit: LivoxUnit, kind: DataType, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Packets:
+def encode(
+    unit: LivoxUnit, kind: DataType, clock: Clock, batch: FiringBatch, range_m: Array, reflectivity: Bytes
+) -> Packets:
     """Packets (P,) of N firings and their ranges and reflectivities (N,). A point without return is all zeros."""
     facts = unit.facts.packet
     packets: Packets = np.zeros(len(batch.number), packet_of(kind, facts.points))
@@ -32,7 +35,7 @@ def encode(unit: LivoxUnit, kind: DataType, batch: FiringBatch, range_m: Array, 
     header["points"] = facts.points
     header["count"] = batch.number % 2**16
     header["type"] = kind
-    header["time_type"] = PTP
+    header["time_type"] = TIME_TYPES[clock]
     header["time_ns"] = time_ns[:, 0]
     least_m, most_m = unit.range.reported_m
     there = (range_m >= least_m) & (range_m <= most_m)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Bytes, Times
+from lidarcfg.sensors.rig import Clock
 
 
 class DataType(IntEnum):
@@ -26,6 +27,7 @@ class DataType(IntEnum):
 
 Packets = NDArray[np.void]
 PTP = 1  # the clock's source
+TIME_TYPES: dict[Clock, int] = {"free": 0, "ptp": PTP, "gps": 2}
 VERSION = 0
 HEADER = np.dtype(
     [

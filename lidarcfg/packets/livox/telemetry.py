@@ -7,7 +7,7 @@ import numpy as np
 
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.inertial import measured, samples
-from lidarcfg.packets.livox.layout import INERTIAL, PTP, VERSION, DataType, Packets, bytes_of, crcs
+from lidarcfg.packets.livox.layout import INERTIAL, TIME_TYPES, VERSION, DataType, Packets, bytes_of, crcs
 from lidarcfg.packets.livox.model import Inertial, LivoxUnit
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
@@ -29,7 +29,7 @@ def imu_payloads(
         header["points"] = 1
         header["count"] = number % 2**16
         header["type"] = DataType.INERTIAL
-        header["time_type"] = PTP
+        header["time_type"] = TIME_TYPES[mount.clock or "ptp"]
         header["time_ns"] = time_ns
         acceleration_g, rate_deg_s = measured(mount, trajectory, np.array(imu.position_mm) / 1000, time_ns)
         packets["acceleration_g"] = acceleration_g

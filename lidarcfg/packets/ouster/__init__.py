@@ -81,6 +81,11 @@ class Ouster(Codec):
         return {telemetry.SUFFIX: telemetry.metadata_file(self.unit, self._mode(mount), mount)}
 
     @classmethod
+    def sidecar_suffix(cls, name: str, content: bytes) -> str | None:
+        """Of metadata."""
+        return telemetry.SUFFIX if telemetry.read_metadata(name, content) else None
+
+    @classmethod
     def matches(cls, source: PacketSource, size: int, payload: bytes) -> bool:
         """By metadata beside the capture; or by size and header, so that missing metadata is reported as an error."""
         return telemetry.matches(source, size, payload)

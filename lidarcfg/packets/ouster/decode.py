@@ -114,7 +114,7 @@ class OusterDecoder(Decoder):
         return {
             "range_mm": ranges[there],
             "signal": signal[there],
-            "near_ir": np.broadcast_to(found["near_ir"][..., None], ranges.shape)[there],
+            "near_ir": np.broadcast_to(found.get("near_ir", none)[..., None], ranges.shape)[there],
             "row": np.broadcast_to(np.arange(layout.pixels)[:, None], ranges.shape)[there],
         }
 

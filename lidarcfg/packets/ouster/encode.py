@@ -21,12 +21,21 @@ BYTE = np.arange(256.0)
 # medians grow. The maker says of retro-reflectors only that the scale is not linear.
 LIGHT = np.where(BYTE <= 100, BYTE, 100 * maths.power(2.0, (BYTE - 100) / 16))
 MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signal2")
+BLOCKED = 255  # in `window`: as a recording of firmware 3.2.0 has it of a unit that sees nothing but its cover
 
 
-def encode(unit: OusterUnit, mode: Mode, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Bytes:
-    """(P, size): as `Codec.encode` says. Near-infrared light is none.
+def encode(
+    unit: OusterUnit,
+    mode: Mode,
+    batch: FiringBatch,
+    range_m: Array,
+    reflectivity: Bytes,
+    window: Bytes | None = None,
+) -> Bytes:
+    """(P, size): as `Codec.encode` says. There is no near-infrared light, no colour, and no point is in a zone.
 
-    Of two returns the nearer comes first, or the stronger, as the metadata says.
+    Of two returns the nearer comes first, or the stronger, as the metadata says. `window` (N,) is how much the window
+    is blocked at each firing, from 0 to `BLOCKED`; none: it is clean.
     """
     layout = mode.layout
     returns = layout.profile.returns
@@ -39,7 +48,8 @@ def encode(unit: OusterUnit, mode: Mode, batch: FiringBatch, range_m: Array, ref
         unit_m=(1 << field.dropped) / 1000,
         most_units=field.most,
     )
-    raw = np.empty((3 * returns, len(range_m)), np.uint32)
+    names = MEASURED[: 3 * returns]
+    raw = np.empty((len(names), len(range_m)), np.uint32)
     core.quantize_ouster_returns(
         np.ascontiguousarray(range_m),
         np.ascontiguousarray(reflectivity),
@@ -48,6 +58,9 @@ def encode(unit: OusterUnit, mode: Mode, batch: FiringBatch, range_m: Array, ref
         not mode.nearest_first,
         raw,
     )
+    if window is not None:
+        names = (*names, "window")
+        raw = np.vstack([raw, window])
     measurement = measurements(mode, batch.number)
     valid = in_window(mode, measurement)
     if not valid.all():
@@ -60,10 +73,10 @@ def encode(unit: OusterUnit, mode: Mode, batch: FiringBatch, range_m: Array, ref
         alerts=ALERTS if mode.modern else 0,
     )
     footer: Footer = "crc" if mode.modern else "constant"
-    if layout.profile.header == "fusa":
+    if layout.fusa:
         footer = "zero"  # as the one recording has it; ouster-sdk reads no checksum there
     columns = ColumnHeaders(time_ns, measurement, valid)
-    return assemble(layout, headers, columns, raw, layout.bits_of(MEASURED[: 3 * returns]), footer)
+    return assemble(layout, headers, columns, raw, layout.bits_of(names), footer)
 
 
 def return_types(unit: OusterUnit, range_m: Array, reflectivity: Bytes) -> Bytes:

@@ -39,7 +39,7 @@ class Profile:
 
     pixel: int  # bytes
     fields: dict[str, Field]
-    header: str = "standard"  # or fusa, legacy
+    fusa: bool = False  # whether packets usually have the header of functional safety
 
     @property
     def returns(self) -> int:
@@ -51,51 +51,51 @@ def _fields(**places: tuple[int, ...]) -> dict[str, Field]:
     return {name: Field(*place) for name, place in places.items()}
 
 
-_LOW_DUAL = _fields(
-    range=(0, 15, 3),
-    flags=(15, 1),
-    reflectivity=(16, 8),
-    near_ir=(24, 8, 4),
-    range2=(32, 15, 3),
-    flags2=(47, 1),
-    reflectivity2=(48, 8),
-    window=(56, 8),
+_LOW = _fields(range=(0, 15, 3), flags=(15, 1), reflectivity=(16, 8))
+_LOW_NEAR_IR = _LOW | _fields(near_ir=(24, 8, 4))
+_LOW_DUAL = _LOW_NEAR_IR | _fields(range2=(32, 15, 3), flags2=(47, 1), reflectivity2=(48, 8), window=(56, 8))
+_SINGLE = _fields(range=(0, 19), flags=(19, 5), reflectivity=(32, 8), signal=(48, 16), near_ir=(64, 16))
+_DUAL = _fields(
+    range=(0, 19),
+    flags=(19, 5),
+    reflectivity=(24, 8),
+    range2=(32, 19),
+    flags2=(51, 5),
+    reflectivity2=(56, 8),
+    signal=(64, 16),
+    signal2=(80, 16),
 )
+# `window` says how much a pixel's window is blocked, `zones` which zones its point is in (a bit each); red, green and
+# blue are half floats.
 PROFILES = {
     "LEGACY": Profile(
-        12,
-        _fields(range=(0, 20), flags=(28, 4), reflectivity=(32, 8), signal=(48, 16), near_ir=(64, 16)),
-        "legacy",
+        12, _fields(range=(0, 20), flags=(28, 4), reflectivity=(32, 8), signal=(48, 16), near_ir=(64, 16))
     ),
-    "RNG19_RFL8_SIG16_NIR16": Profile(
-        12,
-        _fields(
-            range=(0, 19),
-            flags=(19, 5),
-            reflectivity=(32, 8),
-            signal=(48, 16),
-            near_ir=(64, 16),
-            window=(88, 8),
-        ),
-    ),
-    "RNG19_RFL8_SIG16_NIR16_DUAL": Profile(
+    "RNG19_RFL8_SIG16_NIR16": Profile(12, _SINGLE | _fields(window=(88, 8))),
+    "RNG19_RFL8_SIG16_NIR16_DUAL": Profile(16, _DUAL | _fields(near_ir=(96, 16), window=(120, 8))),
+    "RNG19_RFL8_SIG16_NIR16_ZONE16": Profile(12, _SINGLE | _fields(window=(40, 8), zones=(80, 16))),
+    "RNG19_RFL8_SIG16_ZONE16_DUAL": Profile(16, _DUAL | _fields(zones=(96, 16), window=(120, 8))),
+    "RNG19_RFL8_SIG16_NIR16_RGB16": Profile(
         16,
         _fields(
             range=(0, 19),
             flags=(19, 5),
             reflectivity=(24, 8),
-            range2=(32, 19),
-            flags2=(51, 5),
-            reflectivity2=(56, 8),
-            signal=(64, 16),
-            signal2=(80, 16),
-            near_ir=(96, 16),
-            window=(120, 8),
+            signal=(32, 16),
+            near_ir=(48, 16),
+            red=(64, 16),
+            green=(80, 16),
+            blue=(96, 16),
         ),
     ),
-    "RNG15_RFL8_NIR8": Profile(4, _fields(range=(0, 15, 3), flags=(15, 1), reflectivity=(16, 8), near_ir=(24, 8, 4))),
+    "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL": Profile(
+        20, _DUAL | _fields(near_ir=(96, 16), red=(112, 16), green=(128, 16), blue=(144, 16))
+    ),
+    "RNG15_RFL8_NIR8": Profile(4, _LOW_NEAR_IR),
+    "RNG15_RFL8_WIN8": Profile(4, _LOW | _fields(window=(24, 8))),
+    "RNG15_RFL8_NIR8_ZONE16": Profile(8, _LOW_NEAR_IR | _fields(zones=(32, 16), window=(48, 8))),
     "RNG15_RFL8_NIR8_DUAL": Profile(8, _LOW_DUAL),
-    "FUSA_RNG15_RFL8_NIR8_DUAL": Profile(8, _LOW_DUAL, "fusa"),
+    "FUSA_RNG15_RFL8_NIR8_DUAL": Profile(8, _LOW_DUAL, fusa=True),
 }
 
 
@@ -130,6 +130,7 @@ class Layout:
     pixels: int  # of a column: the sensor's beams
     columns_per_frame: int
     columns_per_packet: int = PACKET_COLUMNS
+    fusa: bool = False  # whether packets have the header of functional safety
 
     @cached_property
     def profile(self) -> Profile:
@@ -139,7 +140,7 @@ class Layout:
     @cached_property
     def legacy(self) -> bool:
         """Whether packets have no header, and frame numbers stand in the columns."""
-        return self.profile.header == "legacy"
+        return self.name == "LEGACY"
 
     @cached_property
     def head(self) -> int:
@@ -169,7 +170,7 @@ class Layout:
     @cached_property
     def frames(self) -> int:
         """The number of frames after which the frame counter wraps."""
-        return 1 << 32 if self.profile.header == "fusa" else 1 << 16
+        return 1 << 32 if self.fusa else 1 << 16
 
     @cached_property
     def packets_per_frame(self) -> int:
@@ -232,7 +233,7 @@ def packet_headers(layout: Layout, packets: Bytes) -> PacketHeaders:
     """The headers of packets (P, size); serial number, states and countdowns are the first packet's."""
     if layout.legacy:
         return PacketHeaders(values(packets, "<u2", 10).astype(np.int64), 0, 0)
-    fusa = layout.profile.header == "fusa"
+    fusa = layout.fusa
     first = packets[0].tobytes()
     init, alerts, serial = (1, 8, 11) if fusa else (4, 12, 7)
     return PacketHeaders(
@@ -252,7 +253,7 @@ def write_packet_headers(layout: Layout, packets: Bytes, headers: PacketHeaders)
     if layout.legacy:
         column_values(layout, packets, "<u2", 10)[:] = headers.frame[:, None] % layout.frames
         return
-    fusa = layout.profile.header == "fusa"
+    fusa = layout.fusa
     values(packets, "u1", 0)[:] = 1  # a lidar packet
     values(packets, "<u4" if fusa else "<u2", 4 if fusa else 2)[:] = headers.frame % layout.frames
     init, alerts, serial = (1, 8, 11) if fusa else (4, 12, 7)
@@ -266,7 +267,7 @@ def add_frames(layout: Layout, packets: Bytes, count: int) -> None:
     """Add to the frame's number of packets (P, size), of the lidar or framed ones of the inertial unit."""
     if layout.legacy:
         column_values(layout, packets, "<u2", 10)[:] += np.uint16(count % layout.frames)
-    elif layout.profile.header == "fusa":
+    elif layout.fusa:
         values(packets, "<u4", 4)[:] += np.uint32(count % layout.frames)
     else:
         values(packets, "<u2", 2)[:] += np.uint16(count % layout.frames)

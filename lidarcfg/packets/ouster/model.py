@@ -27,17 +27,25 @@ ProfileName = Literal[
     "LEGACY",
     "RNG19_RFL8_SIG16_NIR16",
     "RNG19_RFL8_SIG16_NIR16_DUAL",
+    "RNG19_RFL8_SIG16_NIR16_ZONE16",
+    "RNG19_RFL8_SIG16_ZONE16_DUAL",
+    "RNG19_RFL8_SIG16_NIR16_RGB16",
+    "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL",
     "RNG15_RFL8_NIR8",
+    "RNG15_RFL8_WIN8",
+    "RNG15_RFL8_NIR8_ZONE16",
     "RNG15_RFL8_NIR8_DUAL",
     "FUSA_RNG15_RFL8_NIR8_DUAL",
 ]
+Firmware = Literal["2.3", "3.2", "4.0"]
 SINGLE = "RNG19_RFL8_SIG16_NIR16"
 DUAL = "RNG19_RFL8_SIG16_NIR16_DUAL"
-SINCE_3 = ("RNG15_RFL8_NIR8_DUAL", "FUSA_RNG15_RFL8_NIR8_DUAL")
+SINCE_2 = ("LEGACY", SINGLE, DUAL, "RNG15_RFL8_NIR8")  # profiles; the others are since 3.2
 RPM = (600.0, 1200.0)
 SERIAL_FIRST = 122_000_000_000
 SERIALS = 10**9
-LASERS_MAX = 128
+LASERS_MAX = 256
+DATAGRAM_MAX = 65_507  # bytes that a UDP datagram holds
 IMU_PACKETS_HZ = 80  # this and the next as metadata of firmware 3.2 at 10 Hz has them
 IMU_MEASUREMENTS = 8  # in a packet
 
@@ -62,6 +70,12 @@ class Product(Model):
     source: str = ""
     line: Annotated[str, Field(min_length=1)]
     number: Annotated[str, Field(min_length=1)]
+    firmware: Annotated[tuple[Firmware, ...], Field(min_length=1)] = ("2.3", "3.2")  # that it runs; first the default
+
+    @property
+    def coloured(self) -> bool:
+        """Whether it sees colours, which its product line says: OS-1-MAX-256-RGB."""
+        return "RGB" in self.line.split("-")
 
 
 class OusterHeaders(Network):
@@ -85,7 +99,8 @@ class OusterSettings(Model):
 
     profile: ProfileName | None = None  # none: the single or the dual one of 19 bits, by return_mode
     columns: Literal[512, 1024, 2048] = 1024
-    firmware: Literal["2.3", "3.2"] = "2.3"
+    columns_per_packet: Literal[8, 16] | None = None  # none: 16 if a datagram holds as many
+    firmware: Firmware | None = None  # none: the first that the sensor's file names
     fragments: bool = True  # whether datagrams above the MTU leave as IP fragments, as a sensor sends them
     imu: bool = True
     imu_profile: Literal["LEGACY", "ACCEL32_GYRO32_NMEA"] = "LEGACY"
@@ -107,6 +122,7 @@ class Mode:
 
     layout: Layout
     settings: OusterSettings
+    firmware: Firmware
     rpm: float
     window: tuple[int, int]  # first and last column that is measured, clockwise
     serial: int
@@ -135,7 +151,7 @@ class Mode:
     @property
     def modern(self) -> bool:
         """Whether packets carry checksums and alerts."""
-        return self.settings.firmware == "3.2"
+        return self.firmware != "2.3"
 
 
 @lru_cache(64)
@@ -157,16 +173,24 @@ def unit(sensor: Sensor) -> OusterUnit:
 def mode(sensor: Sensor, mount: Mount) -> Mode:
     """How a mount's sensor sends. Raises ConfigError for what it cannot."""
     settings = mount.settings.checked(OusterSettings)
+    product = unit(sensor).facts.product
     if mount.return_mode not in ("strongest", "dual"):
         raise ConfigError(f"return_mode: {mount.return_mode!r} is not allowed; an Ouster sends the strongest, or dual")
     dual = mount.return_mode == "dual"
     name = settings.profile or (DUAL if dual else SINGLE)
-    if (PROFILES[name].returns == 2) != dual:
+    profile = PROFILES[name]
+    if (profile.returns == 2) != dual:
         needed = "strongest" if dual else "dual"
         raise mount.settings.error(("profile",), f"{name} needs return_mode: {needed}")
-    if name in SINCE_3 and settings.firmware != "3.2":
+    firmware = settings.firmware or product.firmware[0]
+    if firmware not in product.firmware:
+        allowed = " or ".join(repr(one) for one in product.firmware)
+        raise mount.settings.error(("firmware",), f"{firmware!r} does not run on {sensor.name}; allowed: {allowed}")
+    if name not in SINCE_2 and firmware == "2.3":
         raise mount.settings.error(("profile",), f'{name} needs firmware: "3.2"')
-    if settings.imu_profile != "LEGACY" and (settings.firmware != "3.2" or PROFILES[name].header != "standard"):
+    if "red" in profile.fields and not product.coloured:
+        raise mount.settings.error(("profile",), f"{name} needs a sensor that sees colours; {sensor.name} does not")
+    if settings.imu_profile != "LEGACY" and (firmware == "2.3" or name == "LEGACY" or profile.fusa):
         needed = 'firmware: "3.2", and another profile than LEGACY and FUSA'
         raise mount.settings.error(("imu_profile",), f"{settings.imu_profile} needs {needed}")
     if mount.rpm not in RPM:
@@ -175,13 +199,24 @@ def mode(sensor: Sensor, mount: Mount) -> Mode:
         raise mount.settings.error(("columns",), "2048 needs rpm: 600")
     identity = zlib.crc32(mount.name.encode())
     return Mode(
-        layout=Layout(name, sensor.count, settings.columns),
+        layout=_layout(name, sensor, mount, settings),
         settings=settings,
+        firmware=firmware,
         rpm=mount.rpm,
         window=_window(mount.azimuth_fov_deg, settings.columns),
         serial=SERIAL_FIRST + identity % SERIALS,
         init=identity % (1 << 24),
     )
+
+
+def _layout(name: str, sensor: Sensor, mount: Mount, settings: OusterSettings) -> Layout:
+    """Of packets that a datagram holds. Raises ConfigError if there is none."""
+    for columns in (settings.columns_per_packet,) if settings.columns_per_packet else (16, 8):
+        layout = Layout(name, sensor.count, settings.columns, columns, PROFILES[name].fusa)
+        if layout.size <= DATAGRAM_MAX:
+            return layout
+    what = f"{columns} columns of {name} are {layout.size} bytes; allowed in a datagram: {DATAGRAM_MAX}"
+    raise mount.settings.error(("columns_per_packet",), what)
 
 
 def _window(fov_deg: tuple[float, float] | None, count: int) -> tuple[int, int]:

@@ -27,7 +27,7 @@ from lidarcfg.packets.ouster.layout import (
     write_packet_headers,
 )
 from lidarcfg.packets.ouster.model import IMU_MEASUREMENTS, LASERS_MAX, Mode, OusterUnit, phase, unit
-from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.rig import Clock, Mount
 from lidarcfg.sensors.sensor import Beams, Sensor
 from lidarcfg.units import SECOND_NS
 
@@ -35,10 +35,19 @@ if TYPE_CHECKING:
     from lidarcfg.world.motion import Trajectory
 
 SUFFIX = ".json"  # of metadata
-USUAL_SIZES = {(name, Layout(name, pixels, 1024).size) for name in PROFILES for pixels in (16, 32, 64, 128)}
+USUAL = tuple(
+    Layout(name, pixels, 1024, columns, profile.fusa)
+    for name, profile in PROFILES.items()
+    for pixels in (16, 32, 64, 128, 256)
+    for columns in ((16,) if name == "LEGACY" else (16, 8))
+)
 COLUMNS_MAX = 8192
 PACKET_COLUMNS_MAX = 64
-IMAGES = {"2.3": "ousteros-image-prod-aries-v2.3.0", "3.2": "ousteros-image-prod-bootes-v3.2.0"}
+IMAGES = {
+    "2.3": "ousteros-image-prod-aries-v2.3.0",
+    "3.2": "ousteros-image-prod-bootes-v3.2.0",
+    "4.0": "ousteros-image-prod-bootes-v4.0.0",  # a guess, of which readers take the number only
+}
 FIXED_CONFIG = {  # as in recordings of sensors that nobody has configured
     "multipurpose_io_mode": "OFF",
     "nmea_baud_rate": "BAUD_9600",
@@ -58,7 +67,7 @@ OLD_BEAM_ORIGINS_MM = {"OS-0": 27.67, "OS-1": 15.806, "OS-2": 13.762}  # metadat
 OLDEST_BEAM_ORIGIN_MM = 12.163  # ouster-sdk does (sensor_info.cpp), and of the first generation, also its pose
 OLDEST_LIDAR_TO_SENSOR = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 36.18, 0, 0, 0, 1]
 LIDAR_MODE = re.compile(r"(512|1024|2048|4096)x(5|10|20)")
-PRODUCT_LINE = re.compile(r"(OS-[0-9])-([0-9]+)")
+PRODUCT_LINE = re.compile(r"(OS-(?:[0-9]|DOME)(?:-MAX)?)-([0-9]+)")
 BUILT = "2026-01-01T00:00:00Z"
 IMU_PERIOD_NS = SECOND_NS // 100  # as in all recordings
 CHUNK = 1024  # packets
@@ -76,6 +85,11 @@ FRAMED_IMU_PACKET = np.dtype(  # as ouster-sdk's parsing.cpp has it
     ]
 )
 FRAMED_KIND = 2  # of an IMU packet, in its header
+TIMESTAMP_MODES: dict[Clock, str] = {
+    "ptp": "TIME_FROM_PTP_1588",
+    "gps": "TIME_FROM_SYNC_PULSE_IN",
+    "free": "TIME_FROM_INTERNAL_OSC",
+}
 
 
 @dataclass(frozen=True)
@@ -160,6 +174,8 @@ def _read(name: str, metadata: dict[str, Any]) -> Metadata:
     profile = form.get("udp_profile_lidar", "LEGACY")
     if profile not in PROFILES:
         raise ValueError(f"profile {profile!r} cannot be read; allowed: {', '.join(PROFILES)}")
+    usual = "FUSA" if PROFILES[profile].fusa else "STANDARD"
+    fusa = form.get("header_type", usual) == "FUSA" and profile != "LEGACY"
     if (abs(elevation) > 90).any() or len(np.unique(elevation)) < pixels:
         raise ValueError("beam_altitude_angles are not within -90 to 90, each once")
     count = _whole(form, "columns_per_frame", 1, COLUMNS_MAX)
@@ -181,7 +197,7 @@ def _read(name: str, metadata: dict[str, Any]) -> Metadata:
     port = metadata.get("udp_port_lidar")
     return Metadata(
         name=name,
-        layout=Layout(profile, pixels, count, per_packet),
+        layout=Layout(profile, pixels, count, per_packet, fusa),
         window=(first, last),
         elevation_rad=np.radians(elevation),
         azimuth_rad=np.radians(azimuth),
@@ -216,20 +232,19 @@ def _whole(metadata: dict[str, Any], key: str, least: int, most: int) -> int:
     return value
 
 
-def is_lidar_packet(profile: str, payload: bytes) -> bool:
+def is_lidar_packet(layout: Layout, payload: bytes) -> bool:
     """Whether the first bytes are a lidar packet's."""
-    header = PROFILES[profile].header
-    if header == "legacy":
+    if layout.legacy:
         measurement = int.from_bytes(payload[8:10], "little")
         ticks = int.from_bytes(payload[12:16], "little")
         return ticks < TICKS and measurement <= ticks
-    return payload[:2] == b"\x01\0" if header == "standard" else payload[:1] == b"\x01"
+    return payload[:1] == b"\x01" if layout.fusa else payload[:2] == b"\x01\0"
 
 
 def matches(source: PacketSource, size: int, payload: bytes) -> bool:
     """By metadata beside the capture; or by size and header, so that missing metadata is reported as an error."""
-    names = [name for name, usual in USUAL_SIZES if usual == size and is_lidar_packet(name, payload)]
-    return bool(names) or any(is_lidar_packet(one.layout.name, payload) for one in _metadata_beside(source, size))
+    usual = any(layout.size == size and is_lidar_packet(layout, payload) for layout in USUAL)
+    return usual or any(is_lidar_packet(one.layout, payload) for one in _metadata_beside(source, size))
 
 
 def _metadata_beside(source: PacketSource, size: int) -> list[Metadata]:
@@ -244,10 +259,11 @@ def find_metadata(source: PacketSource, packets: Bytes) -> Metadata:
     payload = packets[0].tobytes()
     beside = _metadata_beside(source, size)
     if not beside:
-        what = f"an Ouster's packets of {size} bytes need the sensor's metadata, a .json named as the capture beside it"
+        needed = "a .json named as the capture beside it, or one given with --sidecar"
+        what = f"an Ouster's packets of {size} bytes need the sensor's metadata, {needed}"
         there = ", ".join(source.sidecar_files(SUFFIX))
         raise PacketError(f"{source.where}: {what}" + (f"; {there} is not that" if there else ""))
-    fit = [one for one in beside if is_lidar_packet(one.layout.name, payload)]
+    fit = [one for one in beside if is_lidar_packet(one.layout, payload)]
     same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
     if not same:
         serials = ", ".join(f"{one.name} is of {one.line} {one.serial}" for one in beside)
@@ -291,7 +307,7 @@ def metadata_file(unit: OusterUnit, mode: Mode, mount: Mount) -> bytes:
     """The metadata of a mount's sensor, with the parts of firmware 3 that ouster-sdk needs."""
     layout = mode.layout
     beams = unit.sensor.beams
-    firmware = mode.settings.firmware
+    firmware = mode.firmware
     ahead_mm, up_mm = unit.start_mm
     azimuth_deg = beams.azimuth_offset_deg or (0.0,) * unit.sensor.count
     metadata: dict[str, Any] = {
@@ -346,8 +362,8 @@ def _config(unit: OusterUnit, mode: Mode, mount: Mount) -> dict[str, Any]:
         "lidar_mode": f"{layout.columns_per_frame}x{round(mode.rpm / 60)}",
         "phase_lock_enable": mount.phase_deg is not None,
         "phase_lock_offset": round((180 - (mount.phase_deg or 180)) % 360 * 1000),
-        "timestamp_mode": "TIME_FROM_PTP_1588",
-        "udp_dest": unit.facts.headers.destination_ip,
+        "timestamp_mode": TIMESTAMP_MODES[mount.clock or "ptp"],
+        "udp_dest": mount.destination or unit.facts.headers.destination_ip,
         "udp_port_imu": mount.telemetry_port,
         "udp_port_lidar": mount.data_port,
         "udp_profile_imu": mode.settings.imu_profile,

@@ -12,7 +12,7 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, bytes_of, series_of
@@ -50,6 +50,7 @@ class Robosense(SequenceTiming, Codec):
         if mount.return_mode not in series.modes:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
             raise ConfigError(f"{what}; packets of {series.name} hold the strongest, the last, the first, or dual")
+        check_clock(mount, *series.clocks)
         if mount.data_port == mount.telemetry_port:
             raise ConfigError(f"telemetry_port is {mount.telemetry_port}, the data_port; DIFOP needs a port of its own")
         if mount.phase_deg is not None and mount.phase_deg % 1:
@@ -81,7 +82,7 @@ class Robosense(SequenceTiming, Codec):
         self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
     ) -> Iterator[Payloads]:
         """DIFOP packets; inertial measurements of an Airy."""
-        yield from telemetry.difop_payloads(self.unit, mount, start_ns, due_ns)
+        yield from telemetry.difop_payloads(self.unit, mount, trajectory, origin, start_ns, due_ns)
         imu = self.unit.facts.imu
         if imu and mount.settings.checked(RobosenseSettings).imu:
             yield from telemetry.imu_payloads(self.unit, imu, mount, trajectory, start_ns, due_ns)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import packets as core
 from lidarcfg.geometry import Bytes, Times
+from lidarcfg.sensors.rig import Clock
 from lidarcfg.units import SECOND_NS
 
 SIZE = 1248
@@ -27,7 +28,10 @@ TYPE_AT = 31  # the byte of the LiDAR type
 OLD_TYPE_AT = 30  # where firmware of 2022 has it
 REVOLUTION = 36000  # azimuth is in hundredths of a degree
 RADIANS = math.pi / 18000
-PTP = 0x02  # the clock's source
+PTP = 0x02  # the clock's source: Nebula's helios.hpp
+GPS = 0x00
+UNLOCKED = 0x00  # the clock's state
+GPS_LOCKED = 0x01
 TIME = [("seconds", "u1", (6,)), ("microseconds", ">u4")]
 RETURN = np.dtype([("distance", ">u2"), ("intensity", "u1")])
 ANGLE = np.dtype([("sign", "u1"), ("hundredths", ">u2")])
@@ -62,7 +66,8 @@ class Series:
     difop: np.dtype[np.void]
     kinds: tuple[int, int]  # byte 17 of MSOP packets with single and with dual returns
     modes: Mapping[str, int]  # what DIFOP packets say of the return mode
-    clock_locked: int  # what they say of a clock that is synchronised
+    clocks: tuple[Clock, ...]  # what they can say of the clock
+    clock_locked: int  # the same of one that is synchronised by PTP
     distance_max: int  # units; 0 is no return
     counts: int  # packets until the counter begins again
     decoder: Callable[..., core.RobosenseDecoder | core.AiryDecoder]
@@ -94,6 +99,7 @@ HELIOS = Series(
     ),
     kinds=(0x01, 0x01),  # a unit is 2.5 mm
     modes={"dual": 0x00, "strongest": 0x04, "last": 0x05, "first": 0x06},
+    clocks=("ptp", "gps", "free"),
     clock_locked=0x02,
     distance_max=0xFFFF,
     counts=2**32,
@@ -119,6 +125,7 @@ AIRY = Series(
     ),
     kinds=(0x00, 0x03),
     modes={"strongest": 0x00, "first": 0x01, "last": 0x02, "dual": 0x03},  # table 2; dual is a guess, as in `kinds`
+    clocks=("ptp", "free"),
     clock_locked=0x01,
     distance_max=0x3FFF,  # two bits more are a feature of the return, in rs_driver
     counts=2**16,

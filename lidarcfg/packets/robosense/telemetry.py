@@ -10,11 +10,14 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import PacketSource, Payloads
 from lidarcfg.packets.inertial import measured, samples
+from lidarcfg.packets.nmea import fixes
 from lidarcfg.packets.robosense.layout import (
     AIRY,
     ANGLE,
     DIFOP_ID,
     DIFOP_TAIL,
+    GPS,
+    GPS_LOCKED,
     IMU,
     IMU_FULL,
     IMU_HZ,
@@ -22,6 +25,7 @@ from lidarcfg.packets.robosense.layout import (
     IMU_TAIL,
     PTP,
     SIZE,
+    UNLOCKED,
     Packets,
     Series,
     bytes_of,
@@ -32,11 +36,13 @@ from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
+    from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
 
 SEARCHED = 8192  # packets of a host; one of them should be its DIFOP: 2.7 s of a Helios-32 with dual returns
 ANGLE_MAX = 9000  # hundredths of a degree
 UNUSED = 0xFF
+GPRMC_MAX = 86  # bytes
 
 
 @dataclass(frozen=True)
@@ -55,12 +61,21 @@ class Difop:
         return len(self.elevation_rad)
 
 
-def difop_payloads(unit: RobosenseUnit, mount: Mount, start_ns: int, due_ns: range) -> Iterator[Payloads]:
-    """The DIFOP packets of a sensor, the first before anything else and one a second from then on."""
+def difop_payloads(
+    unit: RobosenseUnit, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, due_ns: range
+) -> Iterator[Payloads]:
+    """The DIFOP packets of a sensor, the first before anything else and one a second from then on.
+
+    With a clock that GPS sets, they hold the receiver's last sentence, one a second.
+    """
     headers = unit.facts.headers
     first, end = (-(-at_ns // SECOND_NS) for at_ns in (due_ns.start, due_ns.stop))
     times_ns = start_ns + np.arange(first, end) * SECOND_NS
     packets = difop_packets(unit, mount, times_ns)
+    if mount.clock == "gps":
+        at_ns = times_ns // SECOND_NS * SECOND_NS
+        sentences = fixes(trajectory, origin, at_ns, np.maximum(at_ns, start_ns))
+        packets["gprmc"] = np.array(sentences, f"S{GPRMC_MAX}").view(np.uint8).reshape(len(times_ns), GPRMC_MAX)
     sent_ns = times_ns // 1000 * 1000
     yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.difop, first)
 
@@ -76,7 +91,7 @@ def difop_packets(unit: RobosenseUnit, mount: Mount, times_ns: np.ndarray) -> Pa
     packets["tail"] = DIFOP_TAIL
     packets["rpm"] = round(mount.rpm)
     packets["host"] = host
-    packets["destination"] = [int(part) for part in headers.destination_ip.split(".")]
+    packets["destination"] = [int(part) for part in (mount.destination or headers.destination_ip).split(".")]
     packets["mac"] = [*bytes.fromhex(headers.mac_prefix.replace(":", "")), *host[1:]]
     packets["serial"] = packets["mac"]
     packets["msop_port"] = mount.data_port
@@ -87,8 +102,8 @@ def difop_packets(unit: RobosenseUnit, mount: Mount, times_ns: np.ndarray) -> Pa
     packets["versions"] = list(bytes.fromhex(unit.facts.difop.versions))
     packets["zero"] = 0
     packets["return_mode"] = series.modes[mount.return_mode]
-    packets["sync"] = PTP
-    packets["sync_state"] = series.clock_locked
+    packets["sync"] = GPS if mount.clock == "gps" else PTP
+    packets["sync_state"] = {"gps": GPS_LOCKED, "free": UNLOCKED}.get(mount.clock or "ptp", series.clock_locked)
     write_time(packets, times_ns)
     if series is AIRY:
         packets["install_mode"] = unit.facts.difop.install_mode

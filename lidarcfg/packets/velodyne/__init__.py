@@ -12,10 +12,10 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
-from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, PacketSource, Payloads, check_clock
 from lidarcfg.packets.velodyne import decode, encode, telemetry
 from lidarcfg.packets.velodyne.layout import PACKET, bytes_of, packets_of
-from lidarcfg.packets.velodyne.model import Status, VelodyneFacts, VelodyneSettings, VelodyneUnit, unit
+from lidarcfg.packets.velodyne.model import Status, VelodyneFacts, VelodyneSettings, VelodyneUnit, settings_of, unit
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
 from lidarcfg.sensors.firing import FiringBatch, ranked
 from lidarcfg.sensors.rig import Mount
@@ -49,13 +49,14 @@ class Velodyne(SequenceTiming, Codec):
     def check(self, mount: Mount) -> None:
         encode.check_encodable(self.unit, mount.return_mode)
         mount.settings.checked(VelodyneSettings)
+        check_clock(mount, "gps", "free")
         assert self.unit.resolution_m
         if self.unit.facts.headers is None:
             raise ConfigError(f"sensor {self.unit.name!r} cannot be exported: its file has no velodyne.headers")
 
     def encode(self, mount: Mount, batch: FiringBatch, range_m: Array, reflectivity: Bytes) -> Payloads:
         headers = self.unit.facts.headers
-        pps = mount.settings.checked(VelodyneSettings).pps
+        pps = settings_of(mount).pps
         assert headers
         packets = encode.encode(self.unit, mount.return_mode, batch.firings, range_m, reflectivity, pps)
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)

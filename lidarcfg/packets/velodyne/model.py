@@ -13,6 +13,7 @@ from lidarcfg.geometry import Array, Times
 from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.sensor_unit import SensorUnit, SequenceFiring, check_firing
 from lidarcfg.packets.velodyne.layout import BLOCKS, RETURNS, SLOTS, Packets, PpsState
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Millimetres, Sensor, check_lengths
 
@@ -174,6 +175,12 @@ class VelodyneSettings(Model):
         if value is True:  # which Python takes for 1
             raise validation_error("true is not a whole number")
         return value
+
+
+def settings_of(mount: Mount) -> VelodyneSettings:
+    """The settings of a mount; on a clock that runs free the pulse is absent. Raises ConfigError."""
+    settings = mount.settings.checked(VelodyneSettings)
+    return settings.model_copy(update={"pps": "absent"}) if mount.clock == "free" else settings
 
 
 class VelodyneUnit(SensorUnit[VelodyneFacts]):

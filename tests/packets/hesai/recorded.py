@@ -5,12 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarcfg.capture.pcap import read_batches
+from lidarcfg.config.models import Section
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai import telemetry
-from lidarcfg.packets.hesai.model import HesaiUnit
+from lidarcfg.packets.hesai.model import HesaiUnit, turning
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import load_sensor
 from tests.capture_fixtures import no_warning, recording
+
+BY_BLOCK = Section({"turns_while_firing": False})  # azimuths as Nebula and hydra4 have them
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,8 @@ class Recorded:
 
     @property
     def unit(self):
-        """The model with the unit's own angles."""
-        nominal = codec(load_sensor(self.model)).unit
+        """The model with the unit's own angles, and azimuths by the block, as Nebula has them."""
+        nominal = turning(codec(load_sensor(self.model)).unit, False)
         beams = telemetry.parse_corrections(self.angles, self.table)
         return HesaiUnit(nominal.sensor.model_copy(update={"beams": beams}), nominal.facts)
 

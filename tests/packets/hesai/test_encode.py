@@ -11,6 +11,7 @@ from lidarcfg.capture.ethernet import ethernet_frames
 from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_packets
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
+from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
@@ -20,7 +21,7 @@ from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning
 from tests.naive import hesai as naive
-from tests.packets.hesai.recorded import mount
+from tests.packets.hesai.recorded import BY_BLOCK, mount
 from tests.refusals import refused
 
 MODELS = {"pandar-xt32": 400_000, "pandar-xt16": 400_000, "xt32m2x": 300_000, "qt128": 222_220}  # ns, a packet
@@ -191,7 +192,7 @@ def test_modes_that_a_model_lacks():
 
 def test_the_second_strongest_stands_in_the_odd_block(tmp_path):
     """Return mode 0x3E, by the QT128C2X manual, section 3.1: block 1 the strongest, block 2 the second strongest."""
-    of = mount("qt128", "dual")
+    of = mount("qt128", "dual", settings=BY_BLOCK)
     path = tmp_path / "drive.pcap"
 
     def renamed(payloads: Payloads):
@@ -201,7 +202,7 @@ def test_the_second_strongest_stands_in_the_odd_block(tmp_path):
     payload = capture(of, path, 60, renamed)[-1]
     payload[:, 1073] = 0x3E
     stats = []
-    cloud = concatenate(list(decode_pcap(path, no_warning, on_stats=stats.append)))
+    cloud = concatenate(list(decode_pcap(path, no_warning, Rig("one", (of,)), on_stats=stats.append)))
     assert stats[0].return_modes == ("strongest and second strongest",)
     table = [*zip(of.sensor.beams.elevation_deg, of.sensor.beams.azimuth_offset_deg, strict=True)]
     expected = [point for one in payload for point in naive.points(one.tobytes(), table)]
@@ -226,7 +227,7 @@ def test_checksums_and_the_rolling_counter(tmp_path):
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
 def test_hydra4_places_the_points_of_an_xt32(mode, tmp_path):
     """By the angles written beside the capture. With dual returns it reads even blocks only, the last returns."""
-    of = mount("pandar-xt32", mode)
+    of = mount("pandar-xt32", mode, settings=BY_BLOCK)
     path = tmp_path / "drive.pcap"
     payload = capture(of, path, 40)[-1]
     theirs = PandarXT32(tmp_path / "drive-192.168.1.201-2368-angles.csv", 0.0, 1000.0)
@@ -239,7 +240,7 @@ def test_hydra4_places_the_points_of_an_xt32(mode, tmp_path):
         packet = Packet()
         packet.data = one.tobytes()
         points += [point for block in theirs(packet) for point in block.points]
-    cloud = concatenate(list(decode_pcap(path, no_warning)))
+    cloud = concatenate(list(decode_pcap(path, no_warning, Rig("one", (of,)))))
     if mode == "dual":
         pair = np.stack([cloud.time_ns, cloud.ring], axis=1)
         _, inverse, count = np.unique(pair, axis=0, return_inverse=True, return_counts=True)
@@ -279,8 +280,8 @@ def test_from_0_to_360_is_all_around(tmp_path):
 @pytest.mark.parametrize("model", MODELS)
 def test_azimuth_windows(model, tmp_path):
     """Nothing outside, and all inside that is sent without a window: degrees clockwise from x, over 360 too."""
-    everywhere = mount(model, "dual")
-    narrow = mount(model, "dual", azimuth_fov_deg=(340.0, 30.0))
+    everywhere = mount(model, "dual", settings=BY_BLOCK)
+    narrow = replace(everywhere, azimuth_fov_deg=(340.0, 30.0))
     time_ns, encoder, *_ = capture(everywhere, tmp_path / "all.pcap", 1200)
     some_ns, some_encoder, *_, sent, _ = capture(narrow, tmp_path / "some.pcap", 1200)
     inside = (np.degrees(some_encoder) - 340) % 360 <= 50
@@ -291,7 +292,10 @@ def test_azimuth_windows(model, tmp_path):
     cloud = concatenate(list(decode_pcap(tmp_path / "some.pcap", no_warning)))
     spread = np.degrees(abs(everywhere.sensor.azimuth_offset_rad).max()) + 0.01
     heading = np.degrees(np.arctan2(-cloud.xyz[:, 1], cloud.xyz[:, 0]))
-    assert -20 - spread <= heading.min() <= heading.max() <= 30 + spread
+    assert -20 - spread <= heading.min() <= heading.max() <= 30 + 0.4 + spread  # read with the turn while firing
+    turning = replace(narrow, settings=Section({}))
+    (batch,) = codec(turning.sensor).schedule(turning, START_NS, [range(1200)])
+    np.testing.assert_array_equal(batch.firings.time_ns, some_ns)  # the window is the block's
 
 
 def test_chunks_do_not_matter():

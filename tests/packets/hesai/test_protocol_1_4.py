@@ -17,6 +17,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import START_NS
+from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, no_warning
 from tests.naive import hesai14 as naive
@@ -222,6 +223,24 @@ def test_the_drivers_view(model, tmp_path):
     turned = np.angle(np.exp(1j * (np.arctan2(*plain.xyz[:, 1::-1].T) - np.arctan2(*found.xyz[:, 1::-1].T))))
     np.testing.assert_allclose(turned, np.array(fired_ns) * 20 * np.pi * 1e-9, atol=1e-9)
     np.testing.assert_allclose(found.xyz[:, 2], plain.xyz[:, 2], atol=1e-12)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_inertial_measurements(model):
+    """In a curve to the left at 10 m/s with 0.5 rad/s, lying on its side: its y points down, its z inwards."""
+    of = replace(mount(model), rpy_rad=(-np.pi / 2, 0.0, 0.0))
+    curve = Motion(arc=Arc(speed_m_s=10.0, yaw_rate_deg_s=float(np.degrees(0.5))))
+    *_, payloads = sensed(of, 3)
+    sent = codec(of.sensor).with_inertial(of, Trajectory(np.eye(4), build_path(curve), START_NS), payloads)
+    for one in sent.data:
+        payload = one.tobytes()
+        naive.check(payload)
+        tail = naive.tail(payload)
+        assert tail.acceleration == pytest.approx([0, -1, 5 / 9.80665], abs=0.001)
+        assert tail.angular_rate == pytest.approx([0, -np.degrees(0.5), 0], abs=0.01)
+        begin, _ = naive.parts(payload)["imu"]
+        ticks = int.from_bytes(payload[begin + 6 : begin + 10], "little")
+        assert ticks == naive.time_us(payload) * 40 % 2**32  # GetIMUTimestamp: 25 ns each
 
 
 def test_a_resolution_that_a_model_lacks():

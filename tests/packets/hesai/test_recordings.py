@@ -10,9 +10,10 @@ from lidarcfg.core import packets as core
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai.decode import decode
 from lidarcfg.sensors.firing import FiringBatch
+from lidarcfg.sensors.rig import Rig
 from tests.capture_fixtures import no_warning
 from tests.naive import hesai as naive
-from tests.packets.hesai.recorded import ALL, QT128, XT16, XT32, mount
+from tests.packets.hesai.recorded import ALL, BY_BLOCK, QT128, XT16, XT32, mount
 from tests.packets.measured import hesai as measured
 
 NEAR_M = 2e-5  # Nebula's points are float32
@@ -94,7 +95,7 @@ def test_recorded_packets_byte_for_byte(recorded):
     if recorded is XT32:
         range_m = range_m[:, ::-1]
         reflectivity = reflectivity[:, ::-1]
-    of = mount(recorded.model)
+    of = mount(recorded.model, settings=BY_BLOCK)
     again = codec(of.sensor).encode(of, batch, range_m, reflectivity).data
     different = np.flatnonzero((again != octets).any(axis=0))
     if recorded is QT128:
@@ -137,12 +138,15 @@ def test_a_recording_as_a_capture(recorded, tmp_path):
     path = tmp_path / "drive.pcap"
     path.write_bytes(recorded.path.read_bytes())
     warnings = []
-    assert len(concatenate(list(decode_pcap(path, warnings.append))).xyz) > 80_000
+    points = concatenate(list(decode_pcap(path, warnings.append)))
+    assert len(points.xyz) > 80_000
     assert len(warnings) == 1
     assert f"nominal angles of {recorded.model}" in warnings[0]
     (tmp_path / "drive-angles.csv").write_bytes(recorded.table)
     stats = []
-    cloud = concatenate(list(decode_pcap(path, no_warning, on_stats=stats.append)))
+    host, port = points.sensor_names[0].split(":")
+    rig = Rig("one", (mount(recorded.model, host=host, data_port=int(port), settings=BY_BLOCK),))
+    cloud = concatenate(list(decode_pcap(path, no_warning, rig, on_stats=stats.append)))
     assert stats[0].models == (recorded.model,)
     assert stats[0].lost == stats[0].duplicates == stats[0].reordered == 0
     assert abs(stats[0].rpm - 600) < 1

@@ -59,7 +59,7 @@ def host(port: int) -> bytes:
 
 def emulator() -> LivoxEmulator:
     of = mount()
-    return LivoxEmulator(codec(of.sensor).unit, DataType.CARTESIAN_MM, 56301, NetworkSite(SENSOR, "127.0.0.1", None))
+    return LivoxEmulator(codec(of.sensor).unit, DataType.CARTESIAN_MM, 1, 56301, NetworkSite(SENSOR, "127.0.0.1", None))
 
 
 def test_crc():

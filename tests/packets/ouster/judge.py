@@ -22,6 +22,10 @@ NAMES = {
     "flags": "FLAGS",
     "flags2": "FLAGS2",
     "window": "WINDOW",
+    "zones": "ZONE_MASK",
+    "red": "R",
+    "green": "G",
+    "blue": "B",
 }
 
 

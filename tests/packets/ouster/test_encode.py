@@ -26,7 +26,7 @@ from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, decoded, no_warning
 from tests.packets.ouster.judge import config, core, judged
 
-PROFILES = {  # with their unit in millimetres
+RECORDED = {  # profiles of recordings, with their unit in millimetres
     "RNG19_RFL8_SIG16_NIR16": 1,
     "RNG19_RFL8_SIG16_NIR16_DUAL": 1,
     "RNG15_RFL8_NIR8": 8,
@@ -34,6 +34,15 @@ PROFILES = {  # with their unit in millimetres
     "FUSA_RNG15_RFL8_NIR8_DUAL": 8,
     "LEGACY": 1,
 }
+UNRECORDED = {
+    "RNG19_RFL8_SIG16_NIR16_ZONE16": 1,
+    "RNG19_RFL8_SIG16_ZONE16_DUAL": 1,
+    "RNG19_RFL8_SIG16_NIR16_RGB16": 1,
+    "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL": 1,
+    "RNG15_RFL8_WIN8": 8,
+    "RNG15_RFL8_NIR8_ZONE16": 8,
+}
+PROFILES = RECORDED | UNRECORDED
 T_WORLD_VEHICLE = pose((1.0, -0.5, 0.0), (0.0, 0.0, 0.2))
 
 
@@ -44,6 +53,10 @@ def street():
 
 def mount(model="os1-32", rpm=600.0, fov=None, phase=None, dual=False, **settings) -> Mount:
     sensor = load_sensor(model)
+    if "RGB" in settings.get("profile", "") and "max" not in model:
+        section = sensor.section.values
+        line = f"{section['product']['line']}-RGB"
+        sensor = sensor.model_copy(update={"ouster": section | {"product": section["product"] | {"line": line}}})
     return Mount(
         name="top",
         sensor=sensor,
@@ -119,7 +132,7 @@ def check(path, metadata, truth, one, unit_mm):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", RECORDED)
 def test_every_return_of_every_profile(tmp_path, street, profile):
     one = mount(dual="DUAL" in profile, profile=profile, firmware="3.2", fragments=profile != "LEGACY")
     one = replace(one, realism=Realism(seed=3, range_noise_m=0.01, divergence=True)) if "DUAL" in profile else one
@@ -194,7 +207,7 @@ def test_every_count_of_beams_and_columns(tmp_path, street, model, columns, firm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", [name for name in catalogue() if name.startswith("os")])
+@pytest.mark.parametrize("model", [name for name in catalogue("ouster") if name[2] in "012" and "max" not in name])
 def test_every_model(tmp_path, street, model):
     columns = 512
     one = mount(model, columns=columns)
@@ -360,7 +373,14 @@ def test_inertial_measurements_on_an_arc(tmp_path, street):
         ("return_mode: first", "'first' is not allowed; an Ouster sends the strongest, or dual"),
         ("rpm: 900", "rpm: 900 is not allowed; an Ouster turns at 600 or 1200"),
         ("rpm: 1200, ouster: {columns: 2048}", r"ouster\.columns: 2048 needs rpm: 600"),
-        ("ouster: {firmware: 2.3}", r"ouster\.firmware: 2\.3 is not allowed; allowed: '2\.3' or '3\.2'"),
+        ("ouster: {firmware: 2.3}", r"ouster\.firmware: 2\.3 is not allowed; allowed: '2\.3', '3\.2' or '4\.0'"),
+        ('ouster: {firmware: "4.0"}', r"ouster\.firmware: '4\.0' does not run on os1-32; allowed: '2\.3' or '3\.2'"),
+        ("ouster: {profile: RNG15_RFL8_WIN8}", r'ouster\.profile: RNG15_RFL8_WIN8 needs firmware: "3\.2"'),
+        (
+            'ouster: {profile: RNG19_RFL8_SIG16_NIR16_RGB16, firmware: "3.2"}',
+            r"ouster\.profile: .*RGB16 needs a sensor that sees colours; os1-32 does not",
+        ),
+        ("ouster: {columns_per_packet: 12}", r"ouster\.columns_per_packet: 12 is not allowed; allowed: 8 or 16"),
         ("azimuth_fov_deg: [10, 10.1]", "azimuth_fov_deg: no column is within 10 to 10.1"),
     ],
 )

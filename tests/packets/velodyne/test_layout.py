@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidarcfg.errors import PacketError
+from lidarcfg.packets.nmea import gprmc
 from lidarcfg.packets.velodyne.layout import (
     BLOCK,
     PACKET,
@@ -19,7 +20,7 @@ from lidarcfg.packets.velodyne.layout import (
     device_time_ns,
     stamp_us,
 )
-from lidarcfg.packets.velodyne.telemetry import gprmc, position_packets
+from lidarcfg.packets.velodyne.telemetry import position_packets
 from lidarcfg.sensors.sensor import Reported, load_sensor
 from lidarcfg.units import HOUR_NS, SECOND_NS
 from lidarcfg.world.geodesy import GeoOrigin, geographic
