@@ -32,6 +32,7 @@ OUSTER = {  # profile and return mode
     "LEGACY": "strongest",
 }
 LIVOX = ("cartesian_mm", "cartesian_cm", "spherical")
+SEYOND = "falcon-k1", "falcon-k2", "robin-w"
 MADE = [
     *((model, mode, "") for model in (*HESAI, *ROBOSENSE) for mode in ("strongest", "last", "first", "dual")),
     *((model, mode, "") for model in HESAI for mode in ("first-last", "first-strongest")),
@@ -39,6 +40,7 @@ MADE = [
     *((model, mode, "high") for model in ("ot128", "pandar128") for mode in ("strongest", "dual")),
     *(("os0-32", mode, profile) for profile, mode in OUSTER.items()),
     *((model, "strongest", kind) for model in ("mid-360", "hap") for kind in LIVOX),
+    *((model, mode, "") for model in SEYOND for mode in ("strongest", "two-strongest", "dual")),
 ]
 RECORDED = 12  # as many recordings at most
 SEEDS = len(MADE) + RECORDED

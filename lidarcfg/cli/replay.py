@@ -70,8 +70,8 @@ def _emulated(
     "--emulate",
     is_flag=True,
     help="Also answer drivers as the sensors do, at the addresses that their datagrams come from: an Ouster's HTTP "
-    "(TCP port 80), a Hesai's PTC (TCP 9347), a Livox's commands (UDP 56000 and 56100). Drivers may then set where "
-    "datagrams go.",
+    "(TCP port 80), a Hesai's PTC (TCP 9347), a Livox's commands (UDP 56000 and 56100), a Seyond's HTTP (TCP 8010). "
+    "Drivers may then set where datagrams go.",
 )
 @sidecar_option
 @cloup.option_group("Selection", from_option, to_option, help="Send only a part of the capture.")

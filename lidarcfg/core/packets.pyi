@@ -187,6 +187,13 @@ def crc32_mpeg2(
 ) -> Annotated[NDArray[numpy.uint32], dict(shape=(None,))]:
     """The CRC (P,) of each packet's bytes from first until end."""
 
+def crc32c(
+    packets: Annotated[NDArray[numpy.uint8], dict(shape=(None, None))], first: int, end: int
+) -> Annotated[NDArray[numpy.uint32], dict(shape=(None,))]:
+    """
+    The CRC-32C (P,) of each packet's bytes but those from first until end.
+    """
+
 class VelodyneDecoder:
     """Decodes data packets (P, size) of one sensor."""
 

@@ -83,7 +83,8 @@ def _rays(sensor: Sensor, fired: Firings) -> Rays:
     head_deg = np.degrees(fired.encoder_rad)
     if len(fired.elevation_rad):
         azimuth_deg, head_deg = head_deg, np.zeros(len(laser))
-        elevation_deg, start_m = np.degrees(fired.elevation_rad), np.zeros((len(laser), 3))
+        elevation_deg = np.degrees(fired.elevation_rad)
+        start_m = fired.start_m if len(fired.start_m) else np.zeros((len(laser), 3))
     else:
         azimuth_deg = head_deg + np.degrees(sensor.azimuth_offset_rad[laser])
         elevation_deg = np.degrees(sensor.elevation_rad[laser])

@@ -23,6 +23,7 @@ FAMILIES = {  # module and class, loaded when they are needed
     "robosense": "lidarcfg.packets.robosense:Robosense",
     "livox": "lidarcfg.packets.livox:Livox",
     "ouster": "lidarcfg.packets.ouster:Ouster",
+    "seyond": "lidarcfg.packets.seyond:Seyond",
 }
 
 

@@ -44,3 +44,14 @@ LIVOX = (  # livox_ros_driver2's PointXYZRTLT: the timestamp is in nanoseconds
     PointField("line", "u1", "ring"),
     PointField("timestamp", "<f8", "time_ns"),
 )
+SEYOND = (  # seyond_ros_driver's PointXYZIT
+    *PLACE,
+    PointField("timestamp", "<f8", "time_s"),
+    PointField("intensity", "<f4", "strength"),
+    PointField("flags", "u1", "flags"),
+    PointField("elongation", "u1", "elongation"),
+    PointField("scan_id", "<u2", "scan_id"),
+    PointField("scan_idx", "<u2", "scan_idx"),
+    PointField("is_2nd_return", "u1", "is_2nd_return"),
+    PointField("roi", "u1", "roi"),
+)

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.sensors.rig import Mount
@@ -23,6 +24,7 @@ LAST = 1
 SECOND = 2  # strongest, where the last is the strongest
 FIRST = 3
 NO_ELEVATIONS: Array = np.empty(0)
+NO_STARTS: Array = np.empty((0, 3))
 RETURN_TYPES = {  # of each firing's returns, by return mode
     "strongest": (STRONGEST,),
     "last": (LAST,),
@@ -51,10 +53,12 @@ class Firings:
     laser: Bytes  # (N,) or channel
     encoder_rad: Array  # (N,) where the head points, clockwise, 0 to 2π, unrounded; or a scan pattern's azimuth
     elevation_rad: Array = field(default_factory=lambda: NO_ELEVATIONS)  # (N,) of a scan pattern; empty: the laser's
+    start_m: Array = field(default_factory=lambda: NO_STARTS)  # (N, 3) of beams, in the sensor frame; none: the laser's
 
     def __getitem__(self, rows: slice | np.ndarray) -> "Firings":
         elevation_rad = self.elevation_rad[rows] if len(self.elevation_rad) else NO_ELEVATIONS
-        return Firings(self.time_ns[rows], self.laser[rows], self.encoder_rad[rows], elevation_rad)
+        start_m = self.start_m[rows] if len(self.start_m) else NO_STARTS
+        return Firings(self.time_ns[rows], self.laser[rows], self.encoder_rad[rows], elevation_rad, start_m)
 
 
 def spans(packets: int, chunk: int) -> list[range]:
@@ -66,7 +70,7 @@ def joined(parts: Sequence[Firings]) -> Firings:
     """Firings of one sensor, one after the other."""
     if not parts:
         return Firings(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0))
-    columns = zip(*((one.time_ns, one.laser, one.encoder_rad, one.elevation_rad) for one in parts), strict=True)
+    columns = zip(*(vars(one).values() for one in parts), strict=True)
     return Firings(*(np.concatenate(column) for column in columns))
 
 
@@ -155,6 +159,7 @@ class FramePattern:
     """The frames of a scan pattern: a frame may start anywhere in it."""
 
     scan: ScanPattern
+    start_m: Array = field(default_factory=lambda: NO_STARTS)  # (F, 3) of its beams, in the sensor frame; none: there
 
     def beams(self, sensor: Sensor, phases: int) -> CycleBeams:
         """The beams of frames that start evenly over the pattern; one frame of a pattern that has no other."""
@@ -173,9 +178,17 @@ class FramePattern:
             gating_rad=scan.azimuth_rad[row],
             offset_rad=np.zeros(len(row)),
             elevation_rad=scan.elevation_rad[row],
-            start_m=np.zeros((len(row), 3)),
+            start_m=self._starts_m(row),
             phase=np.repeat(np.arange(phases, dtype=np.int32), [len(some) for some in rows]),
         )
+
+    def _starts_m(self, row: NDArray[np.intp]) -> Array:
+        """(N, 3) where the beams of rows start: to where the beam points in the plane, to its left, up."""
+        if not len(self.start_m):
+            return np.zeros((len(row), 3))
+        x, y, up = self.start_m[row].T
+        c, s = maths.cos(self.scan.azimuth_rad[row]), maths.sin(self.scan.azimuth_rad[row])
+        return np.stack([x * c - y * s, x * s + y * c, up], axis=1)
 
 
 class Timing(Protocol):

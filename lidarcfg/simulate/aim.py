@@ -44,7 +44,7 @@ def mounting_of(mount: Mount, trajectory: Trajectory, origin_m: Array = WORLD_M)
 
 def firings_of(fired: Firings) -> simulate.Firings:
     """Firings as the core has them."""
-    return simulate.Firings(fired.time_ns, fired.laser, fired.encoder_rad, fired.elevation_rad)
+    return simulate.Firings(fired.time_ns, fired.laser, fired.encoder_rad, fired.elevation_rad, fired.start_m)
 
 
 def aim(mount: Mount, trajectory: Trajectory, fired: Firings) -> tuple[Array, Array]:

@@ -199,7 +199,8 @@ def reported(mount: Mount, range_m: Array, reflectivity: Bytes) -> tuple[Times, 
 
 def firing_ends(sensor: Sensor, fired: Firings, range_m: Array) -> Array:
     """(N, 3) the ends of the beams of firings in the sensor's frame."""
-    return beam_ends(sensor, fired.laser, fired.encoder_rad, range_m, fired.elevation_rad)
+    ends_m = beam_ends(sensor, fired.laser, fired.encoder_rad, range_m, fired.elevation_rad)
+    return ends_m + fired.start_m if len(fired.start_m) else ends_m
 
 
 def beam_ends(

@@ -7,7 +7,8 @@ where on a body, `search_space` the unit cube that a solver searches, `zones` pa
 get enough returns.
 
 `evaluation` judges one rig in full: `detection` how often it detects objects, `extents` where the worst subspaces are,
-`spheres` the largest ball in each, `extrapolation` max VSR for ever smaller cuboids.
+`spheres` the largest ball in each, `extrapolation` max VSR for ever smaller cuboids. `verification` gives the verdict
+alone.
 
 The costs of a search's trials come from an `evaluator`: shortfalls of requirements, then `objective_costs`, which take
 failures and mounting errors into account, then `bounded_costs`, which end as soon as a trial has lost.

@@ -98,8 +98,8 @@ def test_all_models_and_modes_send_what_export_sends(tmp_path, name, mode):
 
 
 def test_a_rig_on_the_move_sends_what_export_sends(tmp_path):
-    """Five makers, position packets, inertial ones and DIFOP among the data, for longer than a second."""
-    rig = rig_of("vlp-16", "airy", "os1-32", "pandar-xt32", "mid-360")
+    """Six makers, position packets, inertial ones and DIFOP among the data, for longer than a second."""
+    rig = rig_of("vlp-16", "airy", "os1-32", "pandar-xt32", "mid-360", "robin-w")
     ours = written(tmp_path / "a.pcap", rig, 1.3, 0.1, driven())
     assert ours == exported(tmp_path / "b.pcap", rig, 1.3, driven())
     times_ns = np.array([one.time_ns for one in read_datagrams(tmp_path / "a.pcap", no_warning)])

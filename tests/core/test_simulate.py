@@ -49,7 +49,7 @@ def firings(encoder_deg, laser=0, after_ns=0):
     columns = np.broadcast_arrays(NOW_NS + np.int64(after_ns), np.uint8(laser), encoder)
     kinds = np.int64, np.uint8, float
     ready = (np.ascontiguousarray(one, kind) for one, kind in zip(columns, kinds, strict=True))
-    return simulate.Firings(*ready, np.empty(0))
+    return simulate.Firings(*ready, np.empty(0), np.empty((0, 3)))
 
 
 def empty(count, width=1):
@@ -107,6 +107,13 @@ def test_beams_with_elevations_of_their_own():
     own = replaced(own, elevation_rad=np.arcsin(lasers([0, -30]).sin_elevation)[laser])
     np.testing.assert_allclose(traced(own).range_m, found.range_m, rtol=1e-9)
     assert 0 < np.isfinite(found.range_m).sum() < 400
+
+
+def test_beams_with_starts_of_their_own():
+    """A beam ahead that starts 0.5 m ahead of the sensor is 0.5 m shorter, down from 0.3 m higher 0.6 m longer."""
+    fired = firings([0, 0], [0, 1])
+    found = traced(replaced(fired, start_m=np.array([[0.5, 0, 0], [0.1, 0.2, 0.3]])))
+    assert found.range_m.ravel() == pytest.approx([7.5, 2.6])
 
 
 def test_no_firings():

@@ -31,10 +31,14 @@ def test_scan_patterns_of_the_catalogue(name):
     """The directions of one frame, as its table has them, and when it points where."""
     file = yaml.safe_load(catalogue()[name].read_text())["scan_pattern"]
     with np.load(catalogue()[name].with_name(file["file"])) as table:
-        count = round(table["rate_hz"] * file["frame_ms"] / 1000)
-        steps = table["azimuth_steps"], table["elevation_steps"]
-        azimuth_deg, elevation_deg = (one.cumsum(axis=1, dtype=int).T.ravel()[:count] / 100 for one in steps)
-        time_ms = np.arange(count) * (1000 / table["rate_hz"])
+        if "rate_hz" in table:  # packed
+            count = round(table["rate_hz"] * file["frame_ms"] / 1000)
+            steps = table["azimuth_steps"], table["elevation_steps"]
+            azimuth_deg, elevation_deg = (one.cumsum(axis=1, dtype=int).T.ravel()[:count] / 100 for one in steps)
+            time_ms = np.arange(count) * (1000 / table["rate_hz"])
+        else:
+            azimuth_deg, elevation_deg = table["azimuth_deg"], table["elevation_deg"]
+            time_ms = table["time_ns"] / 1e6
     one, whole, by_time = draw_sensor(load_sensor(name)).axes
     shown = one.collections[0].get_offsets()
     np.testing.assert_allclose(shown[:, 0], (azimuth_deg + 180) % 360 - 180, atol=1e-4)

@@ -24,7 +24,7 @@ def test_the_whole_catalogue_loads():
 def test_the_catalogue_of_a_codec_is_found_without_reading_every_file():
     """By a line of each; the same as by their models."""
     codecs = {name: load_sensor(name).codec for name in catalogue()}
-    assert {"velodyne", "ouster", "hesai", "robosense", "livox", None} == set(codecs.values())
+    assert {"velodyne", "ouster", "hesai", "robosense", "livox", "seyond", None} == set(codecs.values())
     for codec in set(codecs.values()) - {None}:
         assert list(catalogue(codec)) == [name for name in codecs if codecs[name] == codec]
 

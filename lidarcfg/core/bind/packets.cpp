@@ -336,6 +336,17 @@ void bind_packets(nb::module_& module) {
         return out;
       },
       "The CRC (P,) of each packet's bytes from first until end.", "packets", "first", "end");
+  def(
+      module, "crc32c",
+      [](Bytes packets, Index first, Index end) {
+        require(0 <= first && first <= end && end <= packets.columns(), "end: beyond the packets, or before first");
+        std::vector<std::uint32_t> out(packets.rows());
+        for (Index p = 0; p < packets.rows(); ++p) {
+          out[p] = packets::crc32c(packets[p].first(first), packets[p].subspan(end));
+        }
+        return out;
+      },
+      "The CRC-32C (P,) of each packet's bytes but those from first until end.", "packets", "first", "end");
   bind_velodyne(module);
   bind_blocks<packets::Robosense>(module, "RobosenseDecoder", "write_robosense_returns");
   bind_blocks<packets::Airy>(module, "AiryDecoder", "write_airy_returns");

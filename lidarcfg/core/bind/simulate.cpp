@@ -48,9 +48,9 @@ struct Fields<Surfaces> {
 
 template <>
 struct Fields<Firings> {
-  static constexpr auto members =
-      fields(field("time_ns", &Firings::time_ns), field("laser", &Firings::laser),
-             field("encoder_rad", &Firings::encoder_rad), field("elevation_rad", &Firings::elevation_rad));
+  static constexpr auto members = fields(
+      field("time_ns", &Firings::time_ns), field("laser", &Firings::laser), field("encoder_rad", &Firings::encoder_rad),
+      field("elevation_rad", &Firings::elevation_rad), field("start_m", &Firings::start_m));
 };
 
 template <>
@@ -128,6 +128,8 @@ void require_firings(const Firings& firings, const Lasers& lasers) {
                   firings.time_ns.size());
   require(firings.elevation_rad.empty() || firings.elevation_rad.size() == firings.time_ns.size(),
           "firings.elevation_rad: one for each time, or none");
+  require(!firings.start_m.rows() || has_shape(firings.start_m, std::ssize(firings.time_ns), 3),
+          "firings.start_m: three for each time, or none");
   require(std::all_of(firings.laser.begin(), firings.laser.end(),
                       [&](std::uint8_t one) { return one < lasers.cos_elevation.size(); }),
           "firings.laser: one of the lasers");

@@ -23,6 +23,38 @@ constexpr Tables tables = [] {
   return out;
 }();
 
+constexpr std::uint32_t castagnoli = 0x82F63B78;  // its bits reversed
+
+/// The same for CRC-32C.
+constexpr Tables castagnoli_tables = [] {
+  Tables out{};
+  for (std::uint32_t byte = 0; byte < 256; ++byte) {
+    std::uint32_t value = byte;
+    for (auto& table : out) {
+      for (int bit = 0; bit < 8; ++bit) {
+        value = value >> 1 ^ (value & 1 ? castagnoli : 0);
+      }
+      table[byte] = value;
+    }
+  }
+  return out;
+}();
+
+std::uint32_t crc32c_on(std::uint32_t value, View<const std::uint8_t> bytes) {
+  const Tables& tables = castagnoli_tables;
+  std::size_t n = 0;
+  for (; n + slices <= bytes.size(); n += slices) {
+    const std::uint8_t* at = &bytes[n];
+    value = tables[7][(value & 255) ^ at[0]] ^ tables[6][(value >> 8 & 255) ^ at[1]] ^
+            tables[5][(value >> 16 & 255) ^ at[2]] ^ tables[4][value >> 24 ^ at[3]] ^ tables[3][at[4]] ^
+            tables[2][at[5]] ^ tables[1][at[6]] ^ tables[0][at[7]];
+  }
+  for (; n < bytes.size(); ++n) {
+    value = value >> 8 ^ tables[0][(value & 255) ^ bytes[n]];
+  }
+  return value;
+}
+
 }  // namespace
 
 std::uint32_t crc32_mpeg2(View<const std::uint8_t> bytes) {
@@ -38,6 +70,10 @@ std::uint32_t crc32_mpeg2(View<const std::uint8_t> bytes) {
     value = value << 8 ^ tables[0][value >> 24 ^ bytes[n]];
   }
   return value;
+}
+
+std::uint32_t crc32c(View<const std::uint8_t> first, View<const std::uint8_t> second) {
+  return ~crc32c_on(crc32c_on(~std::uint32_t{0}, first), second);
 }
 
 }  // namespace lidarcfg::packets

@@ -41,6 +41,7 @@ void Aim<Width>::set(const Firings& firings, View<const Index> which, Index lase
   move(firings, which);
   raise(firings, which, laser);
   point(laser);
+  start(firings, which);
   spread();
 }
 
@@ -127,6 +128,19 @@ void Aim<Width>::point(Index laser) {
     starts_[0][n] = left_m * s + forward_m * cos_head;
     starts_[1][n] = left_m * c - forward_m * sin_head;
     starts_[2][n] = up_m;
+  }
+}
+
+/// Find where beams start, if firings say it themselves.
+template <int Width>
+void Aim<Width>::start(const Firings& firings, View<const Index> which) {
+  if (!firings.start_m.rows()) {
+    return;
+  }
+  for (int axis = 0; axis < 3; ++axis) {
+    for (int n = 0; n < beams_; ++n) {
+      starts_[axis][n] = firings.start_m(which[n], axis);
+    }
   }
 }
 

@@ -76,6 +76,7 @@ class Aim {
   void mount();
   void raise(const Firings& firings, View<const Index> which, Index laser);
   void point(Index laser);
+  void start(const Firings& firings, View<const Index> which);
   void spread();
   void place(const Poses& poses, Rays<Width>& rays) const;
 

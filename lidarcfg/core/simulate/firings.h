@@ -10,10 +10,11 @@ namespace lidarcfg::simulate {
 
 /// N firings.
 struct Firings {
-  View<const std::int64_t> time_ns;   // (N,)
-  View<const std::uint8_t> laser;     // (N,)
-  View<const double> encoder_rad;     // (N,) clockwise
-  View<const double> elevation_rad;   // (N,) of the beams; empty: those of the lasers
+  View<const std::int64_t> time_ns;  // (N,)
+  View<const std::uint8_t> laser;    // (N,)
+  View<const double> encoder_rad;    // (N,) clockwise
+  View<const double> elevation_rad;  // (N,) of the beams; empty: those of the lasers
+  Rows<const double> start_m;        // (N, 3) of the beams, in the sensor's frame; none: where the lasers say
 };
 
 /// Firings in an order in which neighbours point in nearly the same direction: by block of time, and then by laser.
