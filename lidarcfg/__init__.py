@@ -14,7 +14,7 @@ The packages, from the ground up; each imports only those that stand before it i
     solvers       they minimise over the unit cube
     study         which sensors may sit where, what is minimised, how well a rig does
     search        for the best rig, for the cheapest, for the sensors; sweeps
-    capture       packets in files: exported, decoded, replayed
+    capture       packets: exported, decoded, replayed, sent live
     io            from and to other tools
     report        JSON, tables, pictures, HTML pages
     viewer        the page in a browser, stills, Open3D's window

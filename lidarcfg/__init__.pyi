@@ -1,4 +1,5 @@
 from .capture.decode import decode as decode
+from .capture.live import Live as Live
 from .capture.writer import Writer as Writer
 from .clouds.cloud import PointCloud as PointCloud
 from .errors import LidarcfgError as LidarcfgError

@@ -55,6 +55,7 @@ SUBSTITUTIONS = [
     (r"--tolerance [\d.]+", "--tolerance 0.1"),
     (r"^(replay .*) --emulate --loop$", r"\1"),  # whose ports need a right to them: tests/capture/test_emulation.py
     (r"^(replay .*?)( --speed [\d.]+x?)?( --from .*)?$", r"\1 --speed 100\3"),
+    (r"^(live (?!.*--duration).*?)( --emulate)?( --poses \S+)?$", r"\1 --duration 0.1"),  # the same
     (r"^(view (?!.*(--html|--png|--window)).*)$", r"\1 --html out/page.html"),
 ]
 # What the commands write that get a folder; what a folder of another tool holds; how files begin.

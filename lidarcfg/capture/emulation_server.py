@@ -41,6 +41,11 @@ class EmulationServer:
         self._thread = Thread(target=self._run, name="services", daemon=True)
         self._running: Future[None] = Future()
 
+    @property
+    def asked(self) -> set[str]:
+        """The addresses at which a driver has asked."""
+        return {port.address for port in self._ports if port.asked}
+
     def __enter__(self) -> "EmulationServer":
         try:
             for port in self._ports:
@@ -84,6 +89,7 @@ class _Port:
         self.address = address
         self.service = service
         self.connections: set[_Connection] = set()
+        self.asked = False  # by anyone
         self._on_message = on_message
         self._said: set[str] = set()
         self._sockets: list[socket.socket] = []
@@ -123,6 +129,7 @@ class _Port:
     def answer(self, request: bytes, client: str) -> tuple[bytes, bool]:
         """The answer to a client's request, and whether the connection ends with it. Raises RequestError."""
         given = self.service.answer(request, client)
+        self.asked = self.asked or bool(given.data)
         if given.message:
             self.say(f"{client} {given.message}")
         return given.data, given.close
@@ -151,7 +158,7 @@ def _bound(address: str, service: Service, shared: bool = False) -> socket.socke
             errno.EACCES: "only a privileged user may open this port; on Linux root, or anyone after "
             f"`sysctl net.ipv4.ip_unprivileged_port_start={service.port}`",
             errno.EADDRNOTAVAIL: "not an address of this machine; give it to it (`ip address add`), "
-            "or replay to 127.0.0.1 on Linux",
+            "or send to 127.0.0.1 on Linux",
         }.get(error.errno or 0, reason(error))
         where = f"{address or 'all addresses'}, {service.transport.upper()} port {service.port}"
         raise ConfigError(f"{where}, on which {service.name} is answered: {what}") from None

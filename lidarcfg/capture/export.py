@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, count
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,8 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Payloads
-from lidarcfg.packets.families import codec
-from lidarcfg.sensors.firing import RETURN_TYPES, FiringBatch
+from lidarcfg.packets.families import codec, first_packet
+from lidarcfg.sensors.firing import FiringBatch
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.drive import checked_timing
 from lidarcfg.simulate.echoes import Echoes
@@ -61,7 +61,7 @@ def simulated_packets(
     """
     options = options or SimulationOptions()
     trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
-    _check_all(rig.mounts, duration_ns)
+    check_all(rig.mounts, duration_ns)
     runs = sensor_runs(SceneDrive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
     runner = ChunkRunner.of(options, len(runs))
     origin = scene.file.geo_origin
@@ -94,22 +94,18 @@ def save_sidecar_files(path: Path, mounts: Sequence[Mount]) -> list[Path]:
 
 def data_bytes(drive: SceneDrive) -> int:
     """About how many bytes of a capture the sensors' data packets take, as Ethernet frames. Raises ConfigError."""
-    _check_all(drive.rig.mounts, drive.duration_ns)
+    check_all(drive.rig.mounts, drive.duration_ns)
     total = 0.0
     for mount in drive.rig.mounts:
         maker = codec(mount.sensor)
-        everywhere = replace(mount, azimuth_fov_deg=None)
+        packet = first_packet(mount, drive.start_ns)
         pace = maker.pace(mount)
-        one_by_one = (range(n, n + 1) for n in count())
-        batch = next(some for some in maker.schedule(everywhere, drive.start_ns, one_by_one) if len(some.number))
-        shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
-        packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
         packets = drive.duration_ns // pace.period_ns * fired_fraction(mount) * pace.share
         total += packets * sum(map(len, mount_frames(mount, packet).records))
     return round(total)
 
 
-def _check_all(mounts: Sequence[Mount], duration_ns: int) -> None:
+def check_all(mounts: Sequence[Mount], duration_ns: int) -> None:
     """Raises ConfigError unless all mounts can be exported: a capture of some would look like that of the whole rig."""
     for mount in mounts:
         try:

@@ -1,21 +1,17 @@
 """Replays a capture over the network at its own pace, to test a driver live."""
 
-import socket
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 
 from lidarcfg.capture.pcap import Datagram, each_datagram
 from lidarcfg.capture.selection import Selection, read_window, window_ns
-from lidarcfg.errors import PacketError, reason
+from lidarcfg.capture.sender import NO_EMULATORS, PacedSender, Receiver, receiver_address
+from lidarcfg.errors import PacketError
 from lidarcfg.packets.emulator import Emulator
 
-LOOPBACK = "127."
 LEAST_NS = 1_000  # between two passes, at least
-NO_EMULATORS: Mapping[str, Emulator] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -54,22 +50,6 @@ def repeat(read: Callable[[], Iterator[Datagram]]) -> Iterator[Datagram]:
         shift_ns += span_ns + max(span_ns // max(count - 1, 1), LEAST_NS)
 
 
-def receiver_address(host: str) -> str:
-    """The IPv4 address of the host to send to. Raises PacketError."""
-    try:
-        return str(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0])
-    except (OSError, UnicodeError):
-        raise PacketError(f"{host!r} is not a known host") from None
-
-
-def sender_address(sensor: str, receiver: str) -> str:
-    """The address that a sensor sends from: its own or, to a loopback address, the one with the same last numbers.
-
-    Linux has all of these: 127.168.1.201 stands for 192.168.1.201.
-    """
-    return LOOPBACK + sensor.partition(".")[2] if receiver.startswith(LOOPBACK) else sensor
-
-
 def replay(
     datagrams: Iterable[Datagram],
     host: str,
@@ -84,81 +64,17 @@ def replay(
     capture, go where drivers have them sent, or nowhere. Ctrl-C ends the replay. Raises PacketError for an unknown
     host, for an empty capture, and if the host cannot be reached.
     """
-    address = receiver_address(host)
-    count = 0
-    unsent = 0
-    latest_s = 0.0
-    first_ns = 0
+    receiver = Receiver(host, receiver_address(host), port)
     began = time.perf_counter()
     interrupted = False
-    with Senders(address) as senders:
+    with PacedSender([receiver], speed, emulators) as sender:
         try:
-            for datagram in datagrams:
-                if not count + unsent:
-                    first_ns = datagram.time_ns
-                    began = time.perf_counter()
-                due = began + (datagram.time_ns - first_ns) / 1e9 / speed
-                wait_s = due - time.perf_counter()
-                if wait_s > 0:
-                    time.sleep(wait_s)
-                emulator = emulators.get(datagram.host)
-                to = emulator.destination(datagram.port) if emulator else (address, port or datagram.port)
-                payload = emulator.payload(datagram.payload, datagram.later_ns) if emulator else datagram.payload
-                try:
-                    opened = datagram.source_port == datagram.port  # by a driver on this machine
-                    keeps = emulator and (emulator.own_ports or not opened)
-                    sender = senders.of(datagram.host, datagram.source_port if keeps else 0)
-                    sent = to is not None and sender.sendto(payload, to) >= 0
-                except OSError as error:
-                    if to == (address, port or datagram.port):
-                        raise PacketError(f"{host}: {reason(error)}") from None
-                    sent = False
-                if not sent:
-                    unsent += 1
-                    continue
-                count += 1
-                latest_s = max(latest_s, time.perf_counter() - due)
+            for n, datagram in enumerate(datagrams):
+                began = began if n else time.perf_counter()
+                sender.send(datagram)
         except KeyboardInterrupt:
             interrupted = True
-    if not (count or unsent or interrupted):
+    if not (sender.sent or sender.unsent or interrupted):
         raise PacketError("there are no UDP datagrams to send")
-    return ReplayResult(count, time.perf_counter() - began, latest_s, interrupted, senders.sources, unsent)
-
-
-class Senders:
-    """A socket for each sensor, from its own address if this machine has that: see `sender_address`.
-
-    Drivers may know a sensor's data by the port that it comes from: `of` gives a socket with that port, if it is free.
-    """
-
-    def __init__(self, receiver: str) -> None:
-        self._receiver = receiver
-        self._sockets: dict[tuple[str, int], socket.socket] = {}
-        self._open = ExitStack()
-        self.sources: dict[str, str] = {}
-
-    def __enter__(self) -> "Senders":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._open.close()
-
-    def of(self, host: str, port: int = 0) -> socket.socket:
-        """The socket of the sensor at an address, which sends from a port; 0: any."""
-        if (host, port) not in self._sockets:
-            self._sockets[host, port] = self._made(host, port)
-        return self._sockets[host, port]
-
-    def _made(self, host: str, port: int) -> socket.socket:
-        made = self._open.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        address = sender_address(host, self._receiver)
-        self.sources.setdefault(host, "")
-        if address in (one for sensor, one in self.sources.items() if sensor != host):
-            return made
-        for own in dict.fromkeys((port, 0)):
-            with suppress(OSError):  # the port is taken, or it is not an address of this machine
-                made.bind((address, own))
-                self.sources[host] = address
-                break
-        return made
+    took_s = time.perf_counter() - began
+    return ReplayResult(sender.sent, took_s, sender.latest_s, interrupted, sender.sources, sender.unsent)

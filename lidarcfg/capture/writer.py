@@ -3,7 +3,6 @@
 `Drive.firings` has the rays. `lidarcfg.capture.export` sends the same packets from our own scenes.
 """
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -20,9 +19,9 @@ from lidarcfg.capture.manifest import DriveInputs, manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import FILE_HEADER
 from lidarcfg.capture.pose_log import PoseLog
-from lidarcfg.capture.replay import Senders, receiver_address
+from lidarcfg.capture.sender import UDP, PacedSender, Receiver, SendQueue
 from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, save_clouds
-from lidarcfg.errors import LidarcfgError, PacketError, reason
+from lidarcfg.errors import LidarcfgError, PacketError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.geometry import Array, Bytes, Times, transform
 from lidarcfg.packets.codec import Payloads
@@ -34,8 +33,6 @@ from lidarcfg.simulate.echoes import EXACT, Echoes, SensorErrors
 from lidarcfg.simulate.scans import reported
 from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.motion import Trajectory, are_poses
-
-UDP = "udp://"
 
 
 class Sent(NamedTuple):
@@ -382,39 +379,21 @@ class _Hosts:
     """Hosts on the network, to which each packet is sent when its time has come, or later."""
 
     def __init__(self, targets: Sequence[str]) -> None:
-        self._receivers = []
-        for target in targets:
-            name, _, port = target.removeprefix(UDP).partition(":")
-            if port and not (port.isascii() and port.isdigit() and 1 <= int(port) <= 65535):
-                raise LidarcfgError(f"{target}: {port!r} is not a port, 1 to 65535")
-            self._receivers.append((name, receiver_address(name), int(port or 0)))
-        self._zero_s: float | None = None  # of the clock, when the drive's time was 0
+        self._sender = PacedSender([Receiver.parse(target) for target in targets])
+        self._queue = SendQueue()
 
     @contextmanager
     def open(self) -> Iterator[None]:
         """Take packets."""
-        with ExitStack() as opened:
-            self._senders = [opened.enter_context(Senders(address)) for _, address, _ in self._receivers]
+        with self._sender:
             yield
 
     def send(self, sent: Sequence[Sent], known_ns: int) -> None:
-        """Send packets, each at its time relative to the first."""
-        rows = [
-            (at_ns, one.stream, row, one) for one in sent for row, at_ns in enumerate(one.payloads.time_ns.tolist())
-        ]
-        for at_ns, _, row, one in sorted(rows, key=lambda some: some[:2]):
-            now_s = time.perf_counter()
-            if self._zero_s is None:
-                self._zero_s = now_s - at_ns / SECOND_NS
-            time.sleep(max(self._zero_s + at_ns / SECOND_NS - now_s, 0))
-            payloads = one.payloads
-            data = payloads.data[row].tobytes()
-            for (name, address, port), senders in zip(self._receivers, self._senders, strict=True):
-                try:
-                    sender = senders.of(one.mount.host, payloads.header.source_port or payloads.port)
-                    sender.sendto(data, (address, port or payloads.port))
-                except OSError as error:
-                    raise PacketError(f"{name}: {reason(error)}") from None
+        """Send packets. All that leave before `known_ns` have come."""
+        for one in sent:
+            self._queue.add(one.stream, one.mount.host, one.payloads)
+        for datagram in self._queue.ready(known_ns):
+            self._sender.send(datagram)
 
 
 class _Cloud:

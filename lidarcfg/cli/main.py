@@ -17,6 +17,7 @@ from lidarcfg.cli.decode import decode
 from lidarcfg.cli.evaluate import evaluate
 from lidarcfg.cli.export import export
 from lidarcfg.cli.init import init
+from lidarcfg.cli.live import live
 from lidarcfg.cli.optimize import optimize
 from lidarcfg.cli.progress import Interrupts
 from lidarcfg.cli.replay import replay
@@ -131,7 +132,7 @@ def _command_path(error: click.ClickException) -> str:
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     sections=[
         cloup.Section("Place sensors on a vehicle", [optimize, evaluate, verify, compare, sweep]),
-        cloup.Section("Simulate and read captures", [export, decode, replay]),
+        cloup.Section("Simulate and read captures", [export, decode, replay, live]),
         cloup.Section("Look at the results", [view]),
         cloup.Section("Use them in other tools", [convert]),
         cloup.Section("Write and check files", [init, validate, schema]),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lidarcfg.packets.emulator import Emulator
 
 
-def _say_sources(sources: "Mapping[str, str]") -> None:
+def say_sources(sources: "Mapping[str, str]") -> None:
     """Print from which address each sensor's datagrams came, and warn of those without one of their own."""
     for host, address in sources.items():
         if address:
@@ -118,6 +118,6 @@ def replay(
         if sent.unsent:
             click.echo(f"{sent.unsent:,} not sent, while drivers had asked for none, or for a host out of reach")
         if len(sent.sources) > 1:
-            _say_sources(sent.sources)
+            say_sources(sent.sources)
     if sent.interrupted and not loop:
         sys.exit(130)

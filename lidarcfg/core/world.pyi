@@ -151,6 +151,11 @@ class World:
     def __len__(self) -> int: ...
     @property
     def fixed(self) -> Bvh: ...
+    def along(self, speeds_m_s: Annotated[NDArray[numpy.float64], dict(shape=(None,))], paths: Sequence[Path]) -> World:
+        """
+        This world where its P moving objects have other greatest speeds (P,) and paths; hierarchies are shared.
+        """
+
     def cast(
         self,
         origins: Annotated[NDArray[numpy.float64], dict(shape=(3, None))],

@@ -4,11 +4,15 @@ The only module that names the makers; simulation, placement and captures ask it
 pattern.
 """
 
+from dataclasses import replace
 from importlib import import_module
+from itertools import count
+
+import numpy as np
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.codec import Codec
-from lidarcfg.sensors.firing import FramePattern, Pattern, Timing
+from lidarcfg.packets.codec import Codec, Payloads
+from lidarcfg.sensors.firing import RETURN_TYPES, FramePattern, Pattern, Timing
 from lidarcfg.sensors.pattern_timing import PatternTiming
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.schedule import GenericTiming
@@ -60,3 +64,13 @@ def pattern(mount: Mount) -> Pattern | FramePattern:
         what = "has no codec, which would say where its lasers fire; add firing to its file"
         raise ConfigError(f"sensor {sensor.name!r} {what}")
     return timing(sensor).pattern(mount)
+
+
+def first_packet(mount: Mount, start_ns: int = 0) -> Payloads:
+    """The first packet that a mount's sensor sends, with no returns. Raises ConfigError."""
+    maker = codec(mount.sensor)
+    everywhere = replace(mount, azimuth_fov_deg=None)
+    one_by_one = (range(n, n + 1) for n in count())
+    batch = next(some for some in maker.schedule(everywhere, start_ns, one_by_one) if len(some.number))
+    shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
+    return maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))

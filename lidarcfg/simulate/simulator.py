@@ -1,5 +1,6 @@
 """The echoes of one sensor's firings: rays from the vehicle's pose at each firing, traced and turned into echoes."""
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +62,14 @@ class Simulator:
         self._mounting = mounting_of(mount, trajectory, tracer.origin_m)
         cells = CELLS if extinction_per_m(self._weather) else 0
         self.width = len(across) + cells  # rays and cells per firing
+
+    def along(self, tracer: Tracer, trajectory: Trajectory) -> "Simulator":
+        """This simulator where objects and vehicle follow other paths; the tracer is one `along` its own."""
+        moved = copy(self)
+        moved._tracer = tracer
+        moved._trajectory = trajectory
+        moved._mounting = mounting_of(self._mount, trajectory, tracer.origin_m)
+        return moved
 
     def echoes(self, fired: Firings, first: int) -> tuple[Echoes, RayCounts]:
         """The echoes of N firings, (N, 1), or (N, 2) for dual returns; firings are numbered from `first` on.

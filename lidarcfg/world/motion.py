@@ -133,6 +133,14 @@ class MotionPath:
             span = f"{self.times_s[0]:g} to {self.times_s[-1]:g} s"
             raise ConfigError(f"{prefix}a pose is needed at {first_s:g} to {last_s:g} s; the timed poses cover {span}")
 
+    def held(self) -> "MotionPath":
+        """This path; if it is timed poses, it stands after the last."""
+        if not len(self.times_s):
+            return self
+        times_s = np.append(self.times_s, self.times_s[-1] + TIME_LIMIT_S)
+        rows = np.append(np.arange(len(self.times_s)), -1)
+        return _path(self.motion, times_s, self.positions_m[rows], self.rotations[rows])
+
     @property
     def speed_max_m_s(self) -> float:
         """An upper bound of the speed along the path."""
@@ -149,7 +157,7 @@ def build_path(motion: Motion) -> MotionPath:
     rotations = np.zeros((len(poses), 3, 3))
     turned = [i for i, one in enumerate(poses) if one.quaternion_xyzw]
     if turned:
-        rotations[turned] = _matrices(np.array([poses[i].quaternion_xyzw for i in turned]))
+        rotations[turned] = matrices(np.array([poses[i].quaternion_xyzw for i in turned]))
     for i, one in enumerate(poses):
         if not one.quaternion_xyzw:
             rotations[i] = rotation(np.radians(one.rpy_deg or (0.0, 0.0, 0.0)))
@@ -157,7 +165,8 @@ def build_path(motion: Motion) -> MotionPath:
     return _path(motion, np.array([pose.time_s for pose in poses]), positions_m, rotations)
 
 
-def _matrices(quaternions_xyzw: Array) -> Array:
+def matrices(quaternions_xyzw: Array) -> Array:
+    """Rotations (n, 3, 3) of quaternions (n, 4) of any length but 0."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_quat(quaternions_xyzw).as_matrix())
@@ -257,7 +266,7 @@ def load_path(path: str | Path | None) -> MotionPath:
         return build_path(load(path, Motion))
     rows = _read_tum(path)
     motion = Motion.model_construct(poses=())  # its poses are in the arrays
-    return _path(motion, rows[:, 0].copy(), rows[:, 1:4].copy(), _matrices(rows[:, 4:]))
+    return _path(motion, rows[:, 0].copy(), rows[:, 1:4].copy(), matrices(rows[:, 4:]))
 
 
 def _read_tum(path: Path) -> Array:

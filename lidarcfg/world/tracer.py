@@ -6,6 +6,7 @@ All static objects share one bounding volume hierarchy, built once. Each dynamic
 is transformed into that frame at its own time.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -72,12 +73,27 @@ class Tracer:
             fixed=build_bvh(scene, ~moving, self.origin_m),
             moving=[build_bvh(scene, np.arange(len(moving)) == i, scene.places_m[i]) for i in objects],
             places_m=np.array([scene.places_m[i] - self.origin_m for i in objects]).reshape(-1, 3),
-            speeds_m_s=np.array([one.path.speed_max_m_s for one in self.dynamic], np.float64),
+            speeds_m_s=self._speeds_m_s(),
             paths=[one.path.compiled for one in self.dynamic],
         )
 
     def __reduce__(self) -> tuple[type["Tracer"], tuple[Scene, Array, int]]:
         return Tracer, (self.scene, self.origin_m, self.zero_ns)
+
+    def along(self, paths: Mapping[int, MotionPath], zero_ns: int) -> "Tracer":
+        """This tracer where dynamic objects, by their indices, follow other paths, and time 0 is another.
+
+        Hierarchies are shared, so it costs next to nothing.
+        """
+        moved = object.__new__(Tracer)  # `copy` would build hierarchies, as unpickling does
+        vars(moved).update(vars(self))
+        moved.zero_ns = zero_ns
+        moved.dynamic = tuple(Dynamic(one.object, paths.get(one.object, one.path)) for one in self.dynamic)
+        moved.world = self.world.along(moved._speeds_m_s(), [one.path.compiled for one in moved.dynamic])
+        return moved
+
+    def _speeds_m_s(self) -> Array:
+        return np.array([one.path.speed_max_m_s for one in self.dynamic], np.float64)
 
     def cast(
         self,

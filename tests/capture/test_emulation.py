@@ -162,9 +162,9 @@ def test_the_live_source_of_ouster_sdk(tmp_path, firmware):
     assert cKDTree(cloud.xyz).query(xyz)[0].max() < 1e-5
 
 
-def live_frames(path):
+def live_frames(path, host=OUSTER):
     """What ouster-sdk's live source has, in a process of its own: once in many runs it has waited for ever."""
-    ask = [sys.executable, "-m", "tests.capture.ouster_source", OUSTER, str(path)]
+    ask = [sys.executable, "-m", "tests.capture.ouster_source", host, str(path)]
     with contextlib.suppress(subprocess.TimeoutExpired):
         subprocess.run(ask, timeout=60, check=True)
         return np.load(path)

@@ -206,6 +206,15 @@ def test_a_world_by_hand():
     for slot in (-3, 6):
         with pytest.raises(ValueError, match="slot: not of this world"):
             whole.resolve(np.array([slot], np.int32))
+    other = whole.along(np.array([1.0, 0]), [world.path_of_velocity((-1.0, 0.0, 0.0)), spin])
+    np.testing.assert_allclose(cast(other, origins, way, seconds).range_m, [5, 4, 2, np.inf, 1.2, 3, 3])
+    assert np.array_equal(cast(whole, origins, way, seconds).range_m, found.range_m)
+    for speeds_m_s, paths, message in (
+        (np.ones(1), [away, spin], "speeds_m_s: one for each moving object"),
+        (np.ones(2), [away], "paths: one for each moving object"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            whole.along(speeds_m_s, paths)
 
 
 def test_motions_by_hand():

@@ -191,6 +191,15 @@ void bind_whole(nb::module_& module) {
   whole.def("__len__", [](const World& self) { return self.slots(); });
   whole.def_prop_ro("fixed", [](const World& self) { return self.fixed(); });
   def(
+      whole, "along",
+      [](const World& self, View<const double> speeds_m_s, std::vector<Path> paths) {
+        require(speeds_m_s.size() == self.moving().size(), "speeds_m_s: one for each moving object");
+        require(paths.size() == self.moving().size(), "paths: one for each moving object");
+        return self.along(speeds_m_s, std::move(paths));
+      },
+      "This world where its P moving objects have other greatest speeds (P,) and paths; hierarchies are shared.",
+      "speeds_m_s", "paths");
+  def(
       whole, "cast",
       [](const World& self, Points origins, Points directions, View<const double> seconds, double limit_m,
          const world::Found& found) {

@@ -54,6 +54,15 @@ World::World(double ground_m, Bvh fixed, std::vector<Moving> moving)
   slots_ = static_cast<std::int32_t>(slots);
 }
 
+World World::along(View<const double> speeds_m_s, std::vector<Path> paths) const {
+  World out = *this;
+  for (std::size_t p = 0; p < paths.size(); ++p) {
+    out.moving_[p].speed_m_s = speeds_m_s[p];
+    out.moving_[p].path = std::move(paths[p]);
+  }
+  return out;
+}
+
 const Moving& World::moving_at(std::int32_t slot) const {
   const auto after = std::upper_bound(moving_.begin(), moving_.end(), slot,
                                       [](std::int32_t one, const Moving& object) { return one < object.first_slot; });

@@ -44,6 +44,9 @@ class World {
   /// `ground_m` is the ground's height; inf: none. Of moving objects, radius and first slot are found here.
   World(double ground_m, Bvh fixed, std::vector<Moving> moving);
 
+  /// This world where its P moving objects have other paths and greatest speeds (P,). Hierarchies are shared.
+  World along(View<const double> speeds_m_s, std::vector<Path> paths) const;
+
   double ground_m() const { return ground_m_; }
   const Bvh& fixed() const { return fixed_; }
   const std::vector<Moving>& moving() const { return moving_; }
