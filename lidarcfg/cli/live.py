@@ -84,7 +84,7 @@ def live(
     no_lag: bool,
     quiet: bool,
 ) -> None:
-    """Fire a rig in a scene in real time, for drivers that are live.
+    """Fire a rig in a scene in real time and send its packets.
 
     The packets are those of `export`, each sent at its time, from the sensor's own address as `replay` has it. It goes
     on until Ctrl-C. Vehicle and objects may be moved meanwhile, by --poses.

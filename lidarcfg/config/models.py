@@ -79,6 +79,7 @@ ERROR_MESSAGES = {  # by pydantic's error type, with the limits of its context
     "greater_than_equal": "{got} is too small; allowed: at least {ge}",
     "less_than": "{got} is too large; allowed: below {lt}",
     "less_than_equal": "{got} is too large; allowed: at most {le}",
+    "multiple_of": "{got} is not allowed; allowed: multiples of {multiple_of}",
     "string_too_short": "{got} is too short; allowed: at least {min_length} characters",
     "string_too_long": "{got}… is too long; allowed: at most {max_length} characters",
     "string_pattern_mismatch": "{got} is not allowed; allowed: a text that matches {pattern}",
