@@ -52,10 +52,10 @@ def revolution(one, phase, phases):
         return next(how.schedule(at, start_ns, [range(packets)])).firings
 
     first_rad = 0.0
-    if fired.start_rad is None:  # the first laser to fire is at the phase, not where the packet's stamp is
+    if fired.start_rad is None:  # the cycle's azimuth is at the phase, not where the packet's stamp is
         first_rad = phase * fired.step_rad / phases
         early_rad = (scheduled(0.0).encoder_rad[: len(fired.laser)] + math.pi) % (2 * math.pi) - math.pi
-        batch = scheduled(math.degrees(first_rad - early_rad.min()))
+        batch = scheduled(math.degrees(first_rad + fired.lag_rad.min() - early_rad.min()))
     else:
         batch = scheduled(None)
     cycles = math.ceil((2 * math.pi - first_rad) / fired.step_rad - 1e-9)
