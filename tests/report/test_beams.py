@@ -40,13 +40,14 @@ def test_scan_patterns_of_the_catalogue(name):
             azimuth_deg, elevation_deg = (one.cumsum(axis=1, dtype=int).T.ravel()[:count] / 100 for one in steps)
             time_ms = np.arange(count) * (1000 / table["rate_hz"])
         else:
-            azimuth_deg, elevation_deg = table["azimuth_deg"], table["elevation_deg"]
-            time_ms = table["time_ns"] / 1e6
+            first = table["time_ns"] < file["frame_ms"] * 1e6  # of several frames
+            azimuth_deg, elevation_deg = table["azimuth_deg"][first], table["elevation_deg"][first]
+            time_ms = table["time_ns"][first] / 1e6
     one, whole, by_time = draw_sensor(load_sensor(name)).axes
     shown = one.collections[0].get_offsets()
     np.testing.assert_allclose(shown[:, 0], (azimuth_deg + 180) % 360 - 180, atol=1e-4)
     np.testing.assert_allclose(shown[:, 1], elevation_deg, atol=1e-4)
-    assert len(whole.collections[0].get_offsets()) >= len(shown)
+    assert len(whole.collections[0].get_offsets()) >= min(len(shown), 100_000)  # of many, a part is drawn
     np.testing.assert_allclose(by_time.lines[0].get_xdata(), time_ms, atol=1e-6)
 
 
