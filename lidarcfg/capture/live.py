@@ -26,7 +26,7 @@ from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.scene import Scene, load_scene
 
-STEP_S = 0.02
+STEP_S = 0.04
 STEPS_S = 0.005, 1.0  # allowed
 LATE_S = 0.05  # behind the clock, that are not made up for
 

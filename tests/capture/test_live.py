@@ -241,7 +241,7 @@ def test_too_slow_a_loop_slows_the_clock_or_drops_packets(tmp_path):
         told = []
         with receiver() as (_, port):
             to = f"127.0.0.1:{port}"
-            with Live(rig, wall(), to, drop=drop, start_ns=START_NS, on_message=told.append) as live:
+            with Live(rig, wall(), to, drop=drop, start_ns=START_NS, step_s=0.02, on_message=told.append) as live:
                 while live.statistics.time_s < 0.5:
                     live.step()
                     if 0.1 <= live.statistics.time_s < 0.13:

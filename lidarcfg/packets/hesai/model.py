@@ -1,7 +1,7 @@
 """The key `hesai` of a sensor's file: the facts of its packets, and when and where each laser fires."""
 
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -213,22 +213,22 @@ class HesaiUnit(SensorUnit[HesaiFacts]):
         """From one packet to the next."""
         return self.groups(dual) * self.facts.firing.period_ns
 
-    @property
+    @cached_property
     def fires(self) -> Flags:
         """(loops, L): whether each laser fires."""
         return np.array([[offset is not None for offset in loop] for loop in self.facts.firing.loops])
 
-    @property
+    @cached_property
     def lasers(self) -> Times:
         """(loops, F): which lasers fire."""
         return np.array([np.flatnonzero(fires) for fires in self.fires], np.int64)
 
-    @property
+    @cached_property
     def offset_ns(self) -> Times:
         """(loops, L): when, after the start; 0 where it rests."""
         return np.array([[offset or 0 for offset in loop] for loop in self.facts.firing.loops], np.int64)
 
-    @property
+    @cached_property
     def near_ns(self) -> Times:
         """(loops, L): `offset_ns` for returns from what is nearer than `near_m`."""
         near = self.facts.firing.near
@@ -251,7 +251,7 @@ class HesaiUnit(SensorUnit[HesaiFacts]):
         late_ns = self._counts_from_start * (self.groups(dual) - 1) * self.facts.firing.period_ns
         return self.group_ns(dual) + late_ns
 
-    @property
+    @cached_property
     def lag_ns(self) -> Times:
         """(loops, L): how long the head turns from a block's azimuth to a laser's, by Hesai's firing time files."""
         return np.where(self.fires, self.offset_ns + self.early_ns, 0) * self.facts.turning.while_firing
