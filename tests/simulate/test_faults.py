@@ -13,6 +13,7 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConfigError
 from lidarcfg.sensors.rig import load_rig
+from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import START_NS
 from tests.capture_fixtures import datagrams_of, no_warning, scene
@@ -281,6 +282,7 @@ def test_alarms_of_a_helios(world, tmp_path):
         {"fault": "temperature", "sensor": "rs", "start_s": 0.0, "end_s": TO_S, "celsius": 101.5},
         {"fault": "voltage", "sensor": "rs", "start_s": 0.0, "end_s": TO_S, "volts": 8.25},
         {"fault": "clock_lost", "sensor": "rs", "start_s": 0.0, "end_s": TO_S, "apart_s": 37.0},
+        {"fault": "rotation", "sensor": "rs", "start_s": 0.0, "end_s": TO_S, "rpm": (300.0, 300.0)},
     ]
     rig, _ = exported(world, tmp_path / "rs.pcap", faults, ["rs"])
     host_ns, found = payloads(tmp_path / "rs.pcap", rig, "rs", 1248)
@@ -290,7 +292,7 @@ def test_alarms_of_a_helios(world, tmp_path):
     (board, speed) = (struct.unpack_from(">H", difop[0], 342 + at)[0] for at in (0, 10))
     assert supply / 4096 * 24.5 == pytest.approx(8.25, abs=0.003)
     assert 503.975 * board / 4096 - 273.15 == pytest.approx(101.5, abs=0.07)
-    assert (speed, difop[0][302]) == (600, 0)
+    assert (speed, difop[0][302]) == (300, 0)
     for at_ns, one in zip(host_ns.tolist(), found, strict=True):
         if one[0] == 0x55:
             degrees = ((one[39] & 0x7F) << 5 | one[38] >> 3) / 16 * (-1 if one[39] & 0x80 else 1)
@@ -389,6 +391,38 @@ def test_all_at_once_are_the_same_whatever_the_chunks_and_threads(world, tmp_pat
 def test_what_cannot_be_is_said(world, tmp_path, name, faults, said):
     with pytest.raises(ConfigError, match=said.replace("(", r"\(")):
         exported(world, tmp_path / "no.pcap", faults, [name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", [name for name in catalogue() if load_sensor(name).codec])
+def test_all_faults_of_all_models_at_once(world, tmp_path, model):
+    """What was sent before the first is what is sent without any, and what comes is decoded."""
+    figures = {
+        **{kind: {"fraction": 0.1} for kind in ("lost", "doubled", "overtaken")},
+        "late": {"fraction": 0.1, "delay_s": 0.001},
+        "unplugged": {"start_s": 0.09, "end_s": 0.1},
+        "clock_jump": {"by_s": 0.5},
+        "clock_drift": {"ppm": 100.0},
+        "clock_lost": {"apart_s": -2.5},
+        "dirty_window": {"azimuth_deg": (0.0, 30.0)},
+        "temperature": {"celsius": 95.0},
+        "voltage": {"volts": 6.0},
+    }
+    mount = {"name": "a", "model": model, "position_m": (0.0, 0.0, 2.0), "host": "192.168.1.201"}
+    if not load_sensor(model).scan_pattern:
+        figures["rotation"] = {"rpm": (600.0, 300.0)}
+    sent, told = [], []
+    for faults in ((), tuple(fault(kind, "a", **of) for kind, of in figures.items())):
+        rig = load_rig({"name": "r", "sensors": (mount,), "faults": faults})
+        path = tmp_path / f"{len(faults)}.pcap"
+        write_pcap(path, in_time_order(simulated_packets(rig, world, np.eye(4), DURATION_NS)))
+        save_sidecar_files(path, rig.mounts)
+        sent.append([(one.time_ns, one.payload) for one in datagrams_of(path) if one.time_ns < FROM_NS])
+        assert sum(len(cloud.xyz) for cloud in decode_pcap(path, told.append, rig)) > 1000
+    clean, faulty = sent
+    assert [one for one in faulty if one in set(clean)] == clean  # a Livox also says its state
+    assert len(clean) > 5
+    assert all("no whole calibration" in warning for warning in told)  # of an HDL-64E in so short a time
 
 
 @pytest.mark.parametrize("kind", ["lost", "doubled", "late", "overtaken", "clock_jump", "rotation", "unplugged"])

@@ -1,14 +1,15 @@
 """What a RoboSense says of its condition: temperature, voltage, the motor's speed, whether its clock is synchronised.
 
 MSOP packets have the temperature as rs_driver reads it (1.5.19, basic_attr.hpp). DIFOP packets have the rest: Helios 32
-manual 1.1, tables 25, 27 and 28; of an Airy only the speed and the clock. None says whether the window is dirty.
+manual 1.1, tables 25, 27 and 28; of an Airy or a Fairy only the speed and the clock. None says whether the window is
+dirty.
 """
 
 import numpy as np
 
-from lidarcfg.geometry import Array, Bytes
+from lidarcfg.geometry import Array, Bytes, Flags
 from lidarcfg.packets.condition import Condition
-from lidarcfg.packets.robosense.layout import AIRY, Packets, Series, bytes_of, packets_of
+from lidarcfg.packets.robosense.layout import Packets, Series, bytes_of, packets_of
 
 UNSYNCHRONISED = 0  # a state of the clock
 TEMPERATURE_AT = 5  # bytes into the reserved ones of an MSOP packet's header
@@ -37,19 +38,18 @@ def report_difop(series: Series, data: Bytes, condition: Condition) -> Bytes:
     """DIFOP packets (P, 1248) with what the sensor says."""
     packets: Packets = np.ascontiguousarray(data.copy()).view(series.difop)[:, 0]
     packets["sync_state"][~condition.synchronised] = UNSYNCHRONISED
-    if series is AIRY:
+    if "real_rpm" in (series.difop.names or ()):
         packets["real_rpm"] = np.rint(condition.rpm)
         return bytes_of(packets)
-    _write(packets["diagnosis"], RPM_AT, condition.rpm)
+    _write(packets["diagnosis"], RPM_AT, condition.rpm, np.rint(condition.rpm) != packets["rpm"])
     hot = condition.hot
     _write(packets["diagnosis"], 0, (condition.temperature_c + ZERO_C) / FULL_C * STEPS, hot)
     _write(packets["status"], VOLTAGE_AT, condition.voltage_v / FULL_V * STEPS, condition.unpowered)
     return bytes_of(packets)
 
 
-def _write(place: Bytes, at: int, numbers: Array, which: np.ndarray | None = None) -> None:
-    """Write numbers (P,), or some of them, as two bytes, the more significant first."""
-    rows = np.ones(len(place), np.bool_) if which is None else which
-    whole = np.clip(np.rint(numbers[rows]), 0, 0xFFFF).astype(np.int64)
-    place[rows, at] = whole >> 8
-    place[rows, at + 1] = whole & 255
+def _write(place: Bytes, at: int, numbers: Array, which: Flags) -> None:
+    """Write some of the numbers (P,) as two bytes, the more significant first."""
+    whole = np.clip(np.rint(numbers[which]), 0, 0xFFFF).astype(np.int64)
+    place[which, at] = whole >> 8
+    place[which, at + 1] = whole & 255
