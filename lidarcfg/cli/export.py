@@ -14,9 +14,12 @@ from lidarcfg.cli.options import (
     FILE,
     START_HELP,
     Seconds,
-    StartPose,
     StartTime,
+    at_option,
     quiet_option,
+    scene_option,
+    trajectory_option,
+    vehicle_option,
     warn,
     warn_of,
 )
@@ -50,21 +53,10 @@ if TYPE_CHECKING:
 @cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
 @cloup.option_group(
     "Scene and motion",
-    cloup.option("--scene", type=FILE, required=True, help="The scene's YAML."),
-    cloup.option(
-        "--at",
-        type=StartPose(),
-        default="0,0,0",
-        metavar="X,Y,YAW_DEG",
-        help="Pose of the vehicle in the scene.  [default: 0,0,0]",
-    ),
-    cloup.option("--trajectory", type=FILE, help="The vehicle's motion from there: YAML, or timed poses as .tum."),
-    cloup.option(
-        "--vehicle",
-        type=FILE,
-        metavar="FILE|none",
-        help="The vehicle's body: YAML, or a mesh.  [default: the rig's]",
-    ),
+    scene_option,
+    at_option,
+    trajectory_option,
+    vehicle_option,
     cloup.option("--start", type=StartTime(), metavar="TIME", help=START_HELP),
     cloup.option(
         "--return-mode",

@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING
 import click
 import cloup
 
-from lidarcfg.cli.options import FILE, Seconds, StartPose, StartTime, quiet_option, warn, warn_of
+from lidarcfg.cli.options import (
+    FILE,
+    Seconds,
+    StartTime,
+    at_option,
+    quiet_option,
+    scene_option,
+    trajectory_option,
+    vehicle_option,
+    warn,
+    warn_of,
+)
 from lidarcfg.cli.progress import LINE_S
 from lidarcfg.cli.replay import say_sources
 
@@ -38,27 +49,16 @@ SHOWN_S = 1.0  # between two updates of the line on a terminal
 )
 @cloup.option_group(
     "Scene and motion",
-    cloup.option("--scene", type=FILE, required=True, help="The scene's YAML."),
-    cloup.option(
-        "--at",
-        type=StartPose(),
-        default="0,0,0",
-        metavar="X,Y,YAW_DEG",
-        help="Pose of the vehicle in the scene.  [default: 0,0,0]",
-    ),
-    cloup.option("--trajectory", type=FILE, help="The vehicle's motion from there: YAML, or timed poses as .tum."),
+    scene_option,
+    at_option,
+    trajectory_option,
     cloup.option(
         "--poses",
         metavar="-|[ADDRESS:]PORT",
         help="Move vehicle and objects by lines of text, from stdin or by UDP: NAME x y z qx qy qz qw, in the world; "
         "the vehicle's name is vehicle.",
     ),
-    cloup.option(
-        "--vehicle",
-        type=FILE,
-        metavar="FILE|none",
-        help="The vehicle's body: YAML, or a mesh.  [default: the rig's]",
-    ),
+    vehicle_option,
     cloup.option("--start", type=StartTime(), metavar="TIME", help="ISO 8601, of the sensors' clocks.  [default: now]"),
     cloup.option("--duration", type=Seconds(), metavar="SECONDS", help="How long.  [default: until Ctrl-C]"),
 )

@@ -126,6 +126,20 @@ class StartTime(_Readable):
         return parse_time_ns(text)
 
 
+scene_option = cloup.option("--scene", type=FILE, required=True, help="The scene's YAML.")
+at_option = cloup.option(
+    "--at",
+    type=StartPose(),
+    default="0,0,0",
+    metavar="X,Y,YAW_DEG",
+    help="Pose of the vehicle in the scene.  [default: 0,0,0]",
+)
+trajectory_option = cloup.option(
+    "--trajectory", type=FILE, help="The vehicle's motion from there: YAML, or timed poses as .tum."
+)
+vehicle_option = cloup.option(
+    "--vehicle", type=FILE, metavar="FILE|none", help="The vehicle's body: YAML, or a mesh.  [default: the rig's]"
+)
 model_option = cloup.option(
     "--model",
     metavar="MODEL",

@@ -100,6 +100,16 @@ class HesaiDecoder(Decoder):
         return {"channel": decode(self._unit, self._unit.packets_of(packets), wanted, polar=False).laser}
 
 
+def kinds(modes: Bytes) -> tuple[Bytes, Bytes]:
+    """(P,) the types of the nearer and the farther return of packets in these modes (P,)."""
+    pairs = np.zeros((256, 2), np.uint8)
+    for mode, kind in SINGLE_KINDS.items():
+        pairs[mode, 0] = kind
+    for mode, pair in PAIR_KINDS.items():
+        pairs[mode] = pair
+    return pairs[modes, 0], pairs[modes, 1]
+
+
 def decode(
     unit: HesaiUnit, packets: Packets, wanted: Flags | None = None, polar: bool = True, driver_view: bool = False
 ) -> DecodedReturns:
@@ -111,13 +121,7 @@ def decode(
     check(unit, packets)
     unit = turning(unit, True) if driver_view else unit
     wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
-    modes = packets["tail"]["return_mode"]
-    near = np.zeros(256, np.uint8)
-    far = np.zeros(256, np.uint8)
-    for mode, kind in SINGLE_KINDS.items():
-        near[mode] = kind
-    for mode, pair in PAIR_KINDS.items():
-        near[mode], far[mode] = pair
+    near, far = kinds(packets["tail"]["return_mode"])
     dual = is_dual(packets)
     start_ns, loop = _blocks(unit, packets, dual, driver_view)
     fields = core.HesaiFields(
@@ -125,8 +129,8 @@ def decode(
         start_ns=start_ns,
         loop=loop,
         dual=dual,
-        near=near[modes],
-        far=far[modes],
+        near=near,
+        far=far,
         turn=packets["tail"]["rpm"]
         * (unit.facts.turning.while_firing * unit.facts.packet.speed_unit_rpm * 2 * np.pi / MINUTE_NS),
     )

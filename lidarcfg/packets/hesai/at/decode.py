@@ -15,7 +15,7 @@ from lidarcfg.packets.codec import DecodedReturns, Decoder, DecodeStatistics, Pa
 from lidarcfg.packets.hesai.at.layout import angles as mirror_angles
 from lidarcfg.packets.hesai.at.layout import device_time_ns
 from lidarcfg.packets.hesai.at.model import HesaiAtUnit
-from lidarcfg.packets.hesai.decode import NUMBERS, PAIR_KINDS, SINGLE_KINDS, SLACK
+from lidarcfg.packets.hesai.decode import NUMBERS, SLACK, kinds
 from lidarcfg.packets.hesai.layout import HEADER, MODES, SEQUENCE, START, Packets, is_dual
 from lidarcfg.packets.loss import PacketLossCounter, missing_numbers
 from lidarcfg.sensors.mirror import NOWHERE, UNITS, MirrorAngles
@@ -120,13 +120,7 @@ def decode(
     angle only, as in Hesai's SDK.
     """
     wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
-    modes = packets["tail"]["return_mode"]
-    near = np.zeros(256, np.uint8)
-    far = np.zeros(256, np.uint8)
-    for mode, kind in SINGLE_KINDS.items():
-        near[mode] = kind
-    for mode, pair in PAIR_KINDS.items():
-        near[mode], far[mode] = pair
+    near, far = kinds(packets["tail"]["return_mode"])
     dual = is_dual(packets)
     angle = mirror_angles(packets)
     facet = facets(angles, packets)
@@ -139,8 +133,8 @@ def decode(
         swept_rad=np.radians(angles.swept_deg(angle, facet)),
         row=angles.row(corrected, facet),
         dual=dual,
-        near=near[modes],
-        far=far[modes],
+        near=near,
+        far=far,
         turn=unit.turn_rad * speed[:, None] * angles.way(facet),
     )
     data = packets.view(np.uint8).reshape(len(packets), packets.dtype.itemsize)
