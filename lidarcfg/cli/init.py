@@ -6,6 +6,8 @@ import click
 import cloup
 
 from lidarcfg.cli.options import FILE, quiet_option
+from lidarcfg.cli.progress import progress
+from lidarcfg.errors import one_line
 
 KINDS = ("study", "rig", "scene", "sensor")
 
@@ -15,6 +17,7 @@ KINDS = ("study", "rig", "scene", "sensor")
     \b
     Examples:
       lidarcfg init study --vehicle truck -o out/my-truck/study.yaml
+      lidarcfg init study --vehicle my-car.ply --triangles 100000 -o out/my-car/study.yaml
       lidarcfg init rig -o out/my-rig.yaml
     """
 )
@@ -25,16 +28,30 @@ KINDS = ("study", "rig", "scene", "sensor")
     metavar="NAME",
     help="For a study: a body from the package (bus, sedan, shuttle, truck), or a mesh file of your own.",
 )
+@cloup.option(
+    "--triangles",
+    type=click.IntRange(min=100, max=10_000_000),
+    metavar="N",
+    help="Write a mesh of no more triangles than this beside the study, in place of --vehicle's.",
+)
 @quiet_option
-def init(kind: str, output: Path, vehicle: str | None, quiet: bool) -> None:
+def init(kind: str, output: Path, vehicle: str | None, triangles: int | None, quiet: bool) -> None:
     """Write a commented file to start from.
 
     The other commands accept the file as it is. Optional keys are in it as comments.
     """
-    from lidarcfg.cli.templates import write_template
+    from lidarcfg.cli.templates import write_simplified, write_template
 
     if vehicle and kind != "study":
         raise click.UsageError(f"--vehicle is for a study, not for a {kind}")
+    if triangles and not (vehicle and Path(vehicle).suffix):
+        raise click.UsageError("--triangles is for a mesh file of your own; name it with --vehicle")
+    if triangles and vehicle:
+        with progress(quiet, keep=False) as on_progress:
+            body, said = write_simplified(output, Path(vehicle), triangles, on_progress)
+        vehicle = str(body)
+        if not quiet:
+            click.echo(one_line(f"{body}: {said}"))
     written = write_template(kind, output, vehicle)
     if not quiet:
         click.echo(f"written: {' '.join(map(str, written))}")

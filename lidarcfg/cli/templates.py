@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
@@ -13,6 +14,7 @@ from lidarcfg.files import replacing, shipped
 
 KINDS = ("study", "rig", "scene", "sensor")
 CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
+SUNK_M = 0.05  # how far a body on the ground may be below it, by its mesh
 AS_IS: Vec3 = (0.0, 0.0, 0.0)
 
 
@@ -32,7 +34,7 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     if body and vehicle not in known and not body.suffix:
         raise ConfigError(f"no vehicle is called {vehicle!r}; allowed: {', '.join(known)}, or a mesh file")
     copied = path.parent / f"{vehicle}.ply" if vehicle in known else None
-    low, high, scale, rpy_deg = _bounds(body) if body else (*CAR, 1.0, AS_IS)
+    low, high, scale, rpy_deg, position_m, closed = _bounds(body) if body else (*CAR, 1.0, AS_IS, AS_IS, True)
     template = Environment(undefined=StrictUndefined, keep_trailing_newline=True).from_string(
         (shipped("data") / "templates" / f"{kind}.yaml.j2").read_text("utf-8")
     )
@@ -40,12 +42,13 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     text = template.render(
         file=path,
         body=name and inline(name),
-        **_frame_keys(scale, rpy_deg),
+        closed=closed,
+        **_frame_keys(scale, rpy_deg, position_m),
         **_study(low, high),
     )
-    for file in (path, copied):
-        if file and file.exists() and not (file == copied and body and file.read_bytes() == body.read_bytes()):
-            raise ConfigError(f"{file}: exists already; name another file, or remove it")
+    _check_new(path)
+    if copied and copied.exists() and body and copied.read_bytes() != body.read_bytes():
+        _check_new(copied)
     if copied and body and not copied.exists():
         with replacing(copied, "wb") as mesh:
             mesh.write(body.read_bytes())
@@ -54,13 +57,53 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     return [path, copied] if copied else [path]
 
 
-def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...], float, Vec3]:
-    """The bounds of a mesh in the vehicle frame, and the scale and rotation that bring it there, by its looks."""
+def write_simplified(
+    study: Path, body: Path, triangles: int, on_progress: Callable[[float, str], None]
+) -> tuple[Path, str]:
+    """Write a mesh of no more triangles beside a study that is to be written. Returns its file, and what was done.
+
+    Raises ConfigError if there is the study or the file already, or if the mesh cannot be simplified so far.
+    """
+    from lidarcfg.world.mesh_frame import likely_scale
+    from lidarcfg.world.meshes import ply_file, read_mesh
+    from lidarcfg.world.simplify import SAMPLES, greatest_distance, simplify
+
+    path = study.parent / f"{body.stem}-{triangles}.ply"
+    _check_new(study)
+    _check_new(path)
+    try:
+        on_progress(0.0, f"reading {body}")
+        mesh = read_mesh(body)
+        on_progress(0.1, f"simplifying {len(mesh[1]):,} triangles to {triangles:,}")
+        fewer = simplify(mesh, triangles)
+    except SceneError as error:
+        what = str(error)
+        raise ConfigError(what if what.startswith(str(body)) else f"{body}: {what}") from None
+    on_progress(0.9, "measuring how far the surfaces are apart")
+    apart_mm = 1000 * likely_scale(mesh[0].max(axis=0) - mesh[0].min(axis=0)) * greatest_distance(mesh, fewer)
+    with replacing(path, "wb") as out:
+        out.write(ply_file(fewer))
+    on_progress(1.0, f"written {path}")
+    said = f"{len(mesh[1]):,} triangles are now {len(fewer[1]):,}, at most {apart_mm:.2g} mm from their surface"
+    return path, f"{said}, by {SAMPLES:,} points of each"
+
+
+def _check_new(path: Path) -> None:
+    if path.exists():
+        raise ConfigError(f"{path}: exists already; name another file, or remove it")
+
+
+def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...], float, Vec3, Vec3, bool]:
+    """The bounds of a mesh in the vehicle frame; scale, rotation and shift that bring it there; whether it is closed.
+
+    What brings it there is guessed by its looks.
+    """
     import numpy as np
 
     from lidarcfg.geometry import pose, transform
-    from lidarcfg.world.mesh_frame import likely_rpy_deg, likely_scale
+    from lidarcfg.world.mesh_frame import likely_position_m, likely_rpy_deg, likely_scale
     from lidarcfg.world.meshes import read_mesh
+    from lidarcfg.world.solids import merge_vertices, open_edges
 
     try:
         mesh = read_mesh(body)
@@ -68,11 +111,13 @@ def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...], float, Ve
         raise ConfigError(str(error)) from None
     scale, rpy_deg = likely_scale(np.ptp(mesh[0], axis=0)), likely_rpy_deg(mesh)
     vertices_m = transform(pose((0, 0, 0), np.radians(rpy_deg)), scale * mesh[0])
+    position_m = likely_position_m((vertices_m, mesh[1]))
+    vertices_m += position_m
     low, high = (tuple(corner.tolist()) for corner in (vertices_m.min(axis=0), vertices_m.max(axis=0)))
-    return low, high, scale, rpy_deg
+    return low, high, scale, rpy_deg, position_m, not len(open_edges(merge_vertices(mesh)))
 
 
-def _frame_keys(scale: float, rpy_deg: Vec3) -> dict[str, str]:
+def _frame_keys(scale: float, rpy_deg: Vec3, position_m: Vec3) -> dict[str, str]:
     """The keys that bring a mesh into the vehicle frame, and what is said of them."""
     from lidarcfg.world.mesh_frame import TURNS, UNITS
 
@@ -83,6 +128,9 @@ def _frame_keys(scale: float, rpy_deg: Vec3) -> dict[str, str]:
     if rpy_deg in TURNS:
         keys.append(f"rpy_deg: [{', '.join(f'{angle:g}' for angle in rpy_deg)}], ")
         looks.append(f"in its file {TURNS[rpy_deg]}")
+    if position_m != AS_IS:
+        keys.append(f"position_m: [{', '.join(f'{value:g}' for value in position_m)}], ")
+        looks.append(f"in its file {math.hypot(*position_m):.0f} m away")
     return {"frame_keys": "".join(keys), "looks": " and ".join(looks)}
 
 
@@ -93,7 +141,7 @@ def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[fl
     side = (high[1] - low[1]) / 2
     length = high[0] - low[0]
     middle_m = (low[0] + high[0]) / 2
-    floor_m = min(math.floor(low[2]), 0)
+    floor_m = min(math.floor(low[2] + SUNK_M), 0)
     top_m = max(math.ceil(high[2]), 4)
     boxes = {
         "low": (-x, -y, floor_m),

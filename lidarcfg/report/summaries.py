@@ -181,7 +181,7 @@ def _bodies(vehicle: Vehicle) -> str:
 
 
 def _triangles(scene: Scene) -> str:
-    return f"{len(scene.triangles):,} triangles"
+    return counted(len(scene.triangles), "triangle")
 
 
 SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {

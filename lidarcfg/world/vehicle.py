@@ -1,6 +1,7 @@
 """A vehicle: the bodies that travel with the sensors and block their beams, in the vehicle frame."""
 
 import os
+import shlex
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.footprint import Footprint
-from lidarcfg.world.mesh_frame import axes_warnings, unit_warnings
+from lidarcfg.world.mesh_frame import axes_warnings, place_warnings, unit_warnings
 from lidarcfg.world.mesh_source import Triangles
 from lidarcfg.world.meshes import Mesh
 from lidarcfg.world.scene import Scene, build_scene
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     import open3d
 
 MANY_TRIANGLES = 500_000  # triangles: reading and checking them takes seconds
+FEWER_TRIANGLES = 100_000  # are enough for a vehicle: docs/vehicles.md
 ORIGIN = 0.0, 0.0, 0.0
 
 
@@ -252,6 +254,10 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     for kind in ("boxes", "planes", "meshes"):
         for i, item in enumerate(getattr(file, kind)):
             mesh = object_mesh(scene, scene.names.index(item.name))
+            if not len(mesh[1]):
+                raise error_at(
+                    path, (*at, kind, i, "file"), f"{item.name!r} has no triangle with three different corners"
+                )
             edges = open_edges(mesh)
             if len(edges) == 0:
                 closed[item.name] = mesh
@@ -264,11 +270,18 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
                 what = f"{_describe_open(item, edges)}; {solid} closed parts; it still blocks beams"
                 warnings.append(_warning(path, (*at, kind, i), what))
             if kind == "meshes":
-                looks = unit_warnings(item, mesh) + (axes_warnings(item, mesh) if len(file.meshes) == 1 else [])
+                looks = unit_warnings(item, mesh)
+                if len(file.meshes) == 1:
+                    looks += axes_warnings(item, mesh) + place_warnings(item, mesh)
                 warnings += [_warning(path, (*at, kind, i, "file"), what) for what in looks]
     if len(scene.triangles) > MANY_TRIANGLES:
         seconds = time.perf_counter() - began
         what = f"the vehicle has {len(scene.triangles):,} triangles; reading them took {seconds:.1f} s"
+        largest = np.bincount(scene.triangle_object).argmax()
+        item = scene.items[largest]
+        if isinstance(item, MeshFile) and isinstance(item.file, str):
+            command = f"lidarcfg init study --vehicle {shlex.quote(str(path.parent / item.file))}"
+            what += f"; with fewer: {command} --triangles {FEWER_TRIANGLES} -o new/study.yaml"
         warnings.append(_warning(path, at, what))
     excluded = tuple(item.name for kind in KINDS for item in getattr(file, kind) if item.exclude)
     whole = file.model_copy(update={"meshes": tuple(_whole(mesh, path.parent) for mesh in file.meshes)})

@@ -448,3 +448,62 @@ def test_maps_that_are_no_meshes_are_refused_by_name(tmp_path):
         SceneError, match=r"points.ply: no triangles that Open3D can read; a point cloud has no surfaces"
     ):
         read_mesh(tmp_path / "points.ply")
+
+
+def test_a_study_with_a_simplified_mesh(tmp_path):
+    """In millimetres, 1 km away: what init says of it is what the sphere says, by hand; the study is accepted."""
+    ball = trimesh.creation.icosphere(4, 1500.0)
+    ball.apply_translation((1e6, 0, 1500))
+    ball.export(tmp_path / "ball.ply")
+    out = tmp_path / "out/study.yaml"
+    asked = "init", "study", "--vehicle", tmp_path / "ball.ply", "--triangles", 500, "-o", out
+    said = lidarcfg(*asked).stdout
+    found = re.search(r"5,120 triangles are now 500, at most ([\d.]+) mm from their surface", said)
+    fewer = trimesh.load(tmp_path / "out/ball-500.ply")
+    away = abs(np.linalg.norm(fewer.triangles_center - (1e6, 0, 1500), axis=1) - 1500).max()
+    assert float(found[1]) == pytest.approx(away, rel=0.3)
+    assert values(out)["vehicle"]["meshes"][0]["file"] == "ball-500.ply"
+    assert values(out)["vehicle"]["meshes"][0]["position_m"] == pytest.approx([-1000, 0, 0], abs=0.1)
+    assert load_study(out).vehicle.warnings == ()
+    assert "study.yaml: exists already" in lidarcfg(*asked, code=2).stderr
+    for wrong in (("--vehicle", "truck", "--triangles", 500), ("--triangles", 500)):
+        assert "--triangles is for a mesh file" in lidarcfg("init", "study", *wrong, "-o", "x.yaml", code=2).stderr
+
+
+def test_a_study_of_an_open_mesh_can_be_used(tmp_path):
+    """What init writes is accepted: nothing is inside of a mesh with a hole, and so nothing is excluded."""
+    mesh = trimesh.creation.box((4, 2, 1.5))
+    trimesh.Trimesh(mesh.vertices, mesh.faces[1:]).export(tmp_path / "body.ply")
+    (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "body.ply"))
+    (message,) = load_study(study).vehicle.warnings
+    assert "is not closed" in message
+    assert load_study(study).vehicle.excluded == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.stl", b"ply\nformat", "a.stl: it begins like a .ply file; name it a.ply"),
+        ("a.obj", b"glTF\x02\0\0\0", "a.obj: it begins like a .glb file; name it a.glb"),
+        ("a.fbx", b"Kaydara", "a.fbx: a format that is not read; export the mesh as glTF"),
+        ("a.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n1 0 0\n3 0 1 2\n", "'body' has no triangle with three different"),
+    ],
+)
+def test_a_mesh_that_is_none(tmp_path, name, content, said):
+    (tmp_path / name).write_bytes(content)
+    (tmp_path / "v.yaml").write_text(f"meshes: [{{name: body, file: {name}}}]\nallow_inside: false\n")
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        summary(tmp_path / "v.yaml")
+
+
+def test_a_mesh_that_is_far_away(tmp_path):
+    """As a map has it: validate says where it stands, and init writes that."""
+    mesh = trimesh.creation.box((4, 2, 1.5))
+    mesh.apply_translation((1000, -2000, 30.75))
+    mesh.export(tmp_path / "body.stl")
+    (tmp_path / "v.yaml").write_text("meshes: [{name: body, file: body.stl, position_m: [1, 0, 0]}]\n")
+    (message,) = summary(tmp_path / "v.yaml").warnings
+    assert "to stand there, set position_m: [-1000, 2000, -30]" in message
+    (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "body.stl"))
+    assert values(study)["vehicle"]["meshes"][0]["position_m"] == [-1000, 2000, -30]
+    assert summary(study).warnings == ()
