@@ -17,7 +17,7 @@ KINDS = ("study", "rig", "scene", "sensor")
     \b
     Examples:
       lidarcfg init study --vehicle truck -o out/my-truck/study.yaml
-      lidarcfg init study --vehicle my-car.ply --triangles 100000 -o out/my-car/study.yaml
+      lidarcfg init study --vehicle data/vehicles/sedan.ply --triangles 2000 -o out/simple.yaml
       lidarcfg init rig -o out/my-rig.yaml
     """
 )

@@ -10,7 +10,7 @@ from jinja2 import Environment, StrictUndefined
 from lidarcfg.config.document import inline
 from lidarcfg.config.models import Vec3
 from lidarcfg.errors import ConfigError, SceneError
-from lidarcfg.files import replacing, shipped
+from lidarcfg.files import example, replacing, shipped
 
 KINDS = ("study", "rig", "scene", "sensor")
 CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
@@ -68,6 +68,7 @@ def write_simplified(
     from lidarcfg.world.meshes import ply_file, read_mesh
     from lidarcfg.world.simplify import SAMPLES, greatest_distance, simplify
 
+    body = example(body)
     path = study.parent / f"{body.stem}-{triangles}.ply"
     _check_new(study)
     _check_new(path)
