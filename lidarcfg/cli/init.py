@@ -17,7 +17,6 @@ KINDS = ("study", "rig", "scene", "sensor")
     \b
     Examples:
       lidarcfg init study --vehicle truck -o out/my-truck/study.yaml
-      lidarcfg init study --vehicle data/vehicles/sedan.ply --triangles 2000 -o out/simple.yaml
       lidarcfg init rig -o out/my-rig.yaml
     """
 )
