@@ -84,10 +84,19 @@ class Cheapest(Shown):
     interrupted: bool
     log: SearchLog
 
+    def __repr__(self) -> str:
+        said = "meets all requirements" if self.meets else "comes closest; none found meets all requirements"
+        return f"<Cheapest: {self.combination.sensors}, for {self.combination.price:,.15g}: {said}>"
+
     @property
     def meets(self) -> bool:
         """Whether it meets all requirements."""
         return self.placement.verdict is not None and self.placement.verdict.passed
+
+    @property
+    def cannot(self) -> bool:
+        """Whether it is known of each combination that no rig of it can meet all."""
+        return all(one.excluded for one in self.tried)
 
 
 def cheapest(
