@@ -386,7 +386,8 @@ def _find_front(study: "Study", options: Options) -> SearchEnd:
     _take_interrupt(found.interrupted)
     untried = sum(not one.evaluations for one in found.candidates)
     if untried:
-        warn(f"the budget was spent before {untried} of {len(found.candidates)} combinations were tried")
+        go_on = shlex.join(("lidarcfg", "optimize", str(options.study), "--resume", str(folder)))
+        warn(f"{untried} of {len(found.candidates)} combinations were not tried within the budget; to go on: {go_on}")
     commands = Commands(command_line(), options.again(study, "--evaluations", max(found.evaluations, 1)))
     with progress(options.quiet) as on_progress:
 

@@ -105,7 +105,7 @@ def _answer(found: Cheapest) -> str:
     if found.cannot:
         cheapest = min(found.tried, key=lambda one: one.price)
         what = (
-            f"the cheapest combination, {', '.join(_models(cheapest))} for {price(cheapest.price)}, is {_why(cheapest)}"
+            f"the cheapest combination, {', '.join(_models(cheapest))} for {price(cheapest.price)}: {cheapest.excluded}"
         )
         return f"no rig can meet all requirements: {what}. Relax a requirement, or let other models be chosen"
     return f"no rig found meets all requirements; {asked.sensors}, for {price(asked.price)}, comes closest"
