@@ -126,7 +126,9 @@ def candidates_table(found: Front) -> Table:
         ]
         for one in found.candidates
     ]
-    return Table("All combinations, as the search saw them; of those not on the front few rigs were evaluated.", columns, rows)
+    return Table(
+        "All combinations, as the search saw them; of those not on the front few rigs were evaluated.", columns, rows
+    )
 
 
 def print_front(study: Study, found: Front) -> None:
