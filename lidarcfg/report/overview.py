@@ -26,11 +26,12 @@ from lidarcfg.study.study import Study
 REQUIREMENTS_MAX = 8  # on the page; the closest
 OBJECTS_MAX = 7  # those missed most
 SENSORS_MAX = 10
+FIGURES_MAX = 12
 REMARKS_MAX = 3
 LIKELY = 0.5  # from this probability on, an object counts as missed at a place
 NOT_MEASURED = (
     "These figures are simulated from the sensors' data sheets: without noise, dirt, rain, damage or other road users. "
-    "They count returns. Whether your perception detects an object from them is not said here."
+    "They do not say whether your perception detects an object from the returns that it gets."
 )
 
 

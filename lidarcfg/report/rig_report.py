@@ -50,12 +50,14 @@ from lidarcfg.report.misses import (
     worst_object,
 )
 from lidarcfg.report.mounts import draw_surfaces
-from lidarcfg.report.overview import overview_figures, overview_parts, overview_verdict, rig_table
+from lidarcfg.report.overview import FIGURES_MAX, overview_figures, overview_parts, overview_verdict, rig_table
 from lidarcfg.report.page import FactRows, PageSection, Part, bullets, code, facts, figure, page
 from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.table import Column, Table, with_baseline
 from lidarcfg.report.text import truncate
+from lidarcfg.report.verdict import remarks
 from lidarcfg.report.verification import requirement_parts
+from lidarcfg.requirements.verify import Verification
 from lidarcfg.search.run import Placement, at_bounds
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 from lidarcfg.study.evaluation import Worst
@@ -136,7 +138,7 @@ def report(
     seen = rigs_seen(study, rig, found, placement, beside)
     sections = [
         _misses(it, seen) if seen else None,
-        PageSection("requirements", "The requirements", requirement_parts(details.verification, rig))
+        PageSection("requirements", "The requirements", _requirements(details.verification, rig))
         if details.verification
         else None,
         _choice(choice) if choice else None,
@@ -179,7 +181,7 @@ def report(
                 *key_figures(study, rig, found, None, details.midpoint_max_vsr_m),
             ],
             key_figures(study, baseline.rig, baseline.details.evaluation) if baseline else (),
-        ),
+        )[:FIGURES_MAX],
         [
             f"The baseline is {baseline.rig.name}, the rig in {baseline.file}; the study's bounds are not enforced on "
             "it. A difference is this rig's printed number minus the baseline's."
@@ -204,6 +206,11 @@ def _minimised(study: Study, placement: Placement | None) -> list[KeyFigure]:
     if study.is_max_vsr or study.is_misses:
         return []
     return [KeyFigure(Column("objective", ".6f"), placement.objective, describe_objective(study), is_main=True)]
+
+
+def _requirements(found: Verification, rig: Rig) -> Iterator[Part]:
+    yield bullets(remarks(found.verdict))
+    yield from requirement_parts(found, rig)
 
 
 def _misses(it: _Reported, rigs: tuple[SeenBy, ...]) -> PageSection:

@@ -10,7 +10,7 @@ from lidarcfg.report.describe import date, describe_rig
 from lidarcfg.report.evaluation import mounts_table
 from lidarcfg.report.evidence import draw_frames, draw_map, draw_views, map_caption
 from lidarcfg.report.mounts import MOUNTS_CAPTION, draw_mounts
-from lidarcfg.report.page import PageSection, Part, bullets, figure, heading, page, verdict_box
+from lidarcfg.report.page import PageSection, Part, figure, heading, page, verdict_box
 from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.table import Cell, Column, Row, Table, named
 from lidarcfg.report.text import truncate
@@ -44,7 +44,6 @@ def requirement_parts(found: Verification, rig: Rig) -> Iterator[Part]:
     for n, one in enumerate(found.evidence, 1):
         yield heading(f"{PASS if one.verdict.passed else FAIL}: {truncate(one.verdict.name)}")
         yield sentence(one.verdict)
-        yield bullets(remarks(Verdict((one.verdict,))))
         yield figure(draw_map(one, rig, n), map_caption(one))
         yield figure(
             draw_frames(one, n),
