@@ -11,8 +11,8 @@ from lidarcfg.report.describe import counted, describe_rig, price
 from lidarcfg.report.evaluation import mounts_table
 from lidarcfg.report.key_figures import KeyFigure
 from lidarcfg.report.misses import MIDPOINT, SeenBy, cell, compared_with, percent
-from lidarcfg.report.mounts import draw_mounts
-from lidarcfg.report.page import Part, beside, verdict_box
+from lidarcfg.report.mounts import MOUNTS_CAPTION, draw_mounts
+from lidarcfg.report.page import Part, beside, figure, verdict_box
 from lidarcfg.report.table import NOTHING, Cell, Column, Row, Table, named
 from lidarcfg.report.text import summarize, truncate
 from lidarcfg.report.verdict import conclusion, demanded, quantity, verdict_table
@@ -110,7 +110,7 @@ def _place(x_m: float, y_m: float, detail: str) -> KeyFigure:
 
 def overview_parts(study: Study, rig: Rig, found: Evaluation, rigs: Sequence[SeenBy]) -> Iterator[Part]:
     """The rig and what it misses, with its drawing, and what the figures are not."""
-    drawn = draw_mounts(study, rig)
+    drawn = figure(draw_mounts(study, rig), MOUNTS_CAPTION)
     yield beside(_missed_table(study, rigs) if rigs else None, drawn)
     table = rig_table(study, rig, found)
     if (more := len(rig.mounts) - SENSORS_MAX) > 0:

@@ -57,9 +57,9 @@ def figure(drawing: Markup | None, caption: str) -> Markup | None:
     return None if drawing is None else _part("figure", drawing, caption)
 
 
-def beside(table: Table | None, drawing: Markup) -> Markup:
-    """A table with a drawing to its right; without a table the drawing alone."""
-    return _part("beside", table, drawing)
+def beside(table: Table | None, drawn: Markup | None) -> Markup:
+    """A table with a figure to its right; without a table the figure alone."""
+    return _part("beside", table, drawn)
 
 
 def code(text: str) -> Markup:

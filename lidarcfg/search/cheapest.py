@@ -138,7 +138,9 @@ class CheapestRun(Chooser):
         super().__init__(study, distinct_combinations(study), threads, skip, on_turn, log)
         asked = study.requirements
         if asked is None:
-            raise ConfigError("the study has no requirements, which the cheapest rig should meet; `front` needs none")
+            raise ConfigError(
+                "the study has no requirements, which the cheapest rig should meet; `lidarcfg optimize` needs none"
+            )
         self._workers = workers
         self._began = time.perf_counter()
         self._names = [item.name for item in asked.items]
