@@ -280,7 +280,7 @@ def study(tmp_path, *changes, constraints=""):
         ),
         (
             [("[3, 1, 1.5]", "[3, 1, 1500]")],
-            r":5:\d+: sensors\[1\].max.position_m\[2\]: .* 1500 m above the ground; are",
+            r":5:\d+: sensors\[1\].max.position_m: this bound is 1,498 m from the vehicle's body; positions are in me",
         ),
     ],
 )
@@ -313,16 +313,38 @@ def test_a_rig_s_angles_too(tmp_path):
     assert list(rig_warnings(ROOT / "data/rigs/roof.yaml")) == []
 
 
-def test_a_rig_s_sensors_below_the_ground_or_far_above_it(tmp_path):
+def test_a_rig_s_sensors_below_the_ground_or_far_away(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text(
         "name: two\nsensors:\n  - {name: a, model: vlp-16, position_m: [0, 0, -0.2]}\n"
         "  - {name: b, model: vlp-16, position_m: [0, 0, 1900]}\n  - {name: c, model: vlp-16, position_m: [0, 0, 40]}\n"
     )
     assert list(rig_warnings(path)) == [
-        f"{path}:3:49: sensors[0].position_m[2]: this is 0.2 m below the ground, which is at z = 0",
-        f"{path}:4:49: sensors[1].position_m[2]: this is 1900 m above the ground; are these metres?",
+        f"{path}:3:49: sensors[0].position_m[2]: a is 0.2 m below the ground, which is at z = 0",
+        f"{path}:4:30: sensors[1].position_m: b is 1,900 m from the origin of the vehicle frame; "
+        "positions are in metres, in the vehicle frame",
     ]
+
+
+@pytest.mark.slow
+def test_a_rig_in_millimetres_is_told_where_it_is_evaluated_or_exported(tmp_path):
+    """A roof 2 m high, and a sensor at 2,800 mm: 2,798 m above it."""
+    rig = tmp_path / "rig.yaml"
+    body = "vehicle: {boxes: [{name: body, center_m: [0, 0, 1], size_m: [4, 2, 2]}]}\n"
+    rig.write_text(f"name: r\n{body}sensors:\n  - {{name: roof, model: vlp-16, position_m: [0, 0, 2800]}}\n")
+    said = "roof is 2,798 m from the vehicle's body; positions are in metres, in the vehicle frame"
+    path = study(tmp_path)
+    scene = ROOT / "data/scenes/room.yaml"
+    capture = tmp_path / "a.pcap"
+    for words in (
+        ("evaluate", path, rig, "--json"),
+        ("export", rig, "--scene", scene, "--duration", 0.02, "-o", capture),
+    ):
+        assert f"{rig}:4:33: sensors[0].position_m: {said}" in lidarcfg(*words).stderr, words
+    path = study(tmp_path, ("[0, 0, 2.5]", "[0, 0, 2500]"), ("[1, 1, 3]", "[1, 1, 3000]"))
+    low, high = study_warnings(path, load_study(path))
+    assert "sensors[0].min.position_m: this bound is 2,498 m from the vehicle's body" in low
+    assert "sensors[0].max.position_m: this bound is 2,998 m from the vehicle's body" in high
 
 
 def test_a_sensor_inside_the_body_that_its_rig_names_is_an_error_at_its_line(tmp_path):
