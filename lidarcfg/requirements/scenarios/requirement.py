@@ -17,7 +17,15 @@ from lidarcfg.requirements.judge import PlainRequirement
 from lidarcfg.requirements.kind import Clusters, Context, Entry, Kind, Lost, Returns
 from lidarcfg.requirements.scenarios.approach import EMERGENCY, Braking, BrakingOrName, VehicleExtent, approach_of
 from lidarcfg.requirements.scenarios.file import Scenario, Speeds, load_scenario
-from lidarcfg.requirements.scenarios.run import NO_SPEEDS, RETURNS, Rule, ScenarioCase, ScenarioResult, check_scenario
+from lidarcfg.requirements.scenarios.run import (
+    NO_SPEEDS,
+    RETURNS,
+    Rule,
+    ScenarioCase,
+    ScenarioResult,
+    check_scenario,
+)
+from lidarcfg.requirements.speeds import Cause, SpeedVerdict, SpeedVerdicts
 from lidarcfg.requirements.verdict import RequirementVerdict, WorstPlace
 from lidarcfg.returns.counts import OnPlaces, no_progress
 from lidarcfg.returns.target import ObjectOrName
@@ -125,6 +133,7 @@ class ScenarioRequirement(PlainRequirement):
             worst=_place(case),
             lost=tuple(mounts[n].name for n in worst.lost),
             breaking=tuple(mount.name for n, mount in enumerate(mounts) if tried.fails_without(n)),
+            speeds=by_speed(found),
             notes=_notes(found, case),
         )
 
@@ -159,6 +168,47 @@ def _place(case: ScenarioCase) -> WorstPlace:
     worst = case.worst
     x, y = (worst.approach.target_m(worst.last_s) - worst.approach.velocity_m_s * worst.last_s).tolist()
     return WorstPlace(x, y, worst.approach.heading_deg)
+
+
+def by_speed(found: ScenarioResult) -> SpeedVerdicts:
+    """The worst case at each speed."""
+    worst: dict[float, ScenarioCase] = {}
+    for case in sorted(found.cases, key=lambda one: (one.speed_km_h, one.worst.margin_s)):
+        worst.setdefault(case.speed_km_h, case)
+    return SpeedVerdicts(tuple(_at_speed(case, found.sensor_names) for case in worst.values()))
+
+
+def _at_speed(case: ScenarioCase, names: Sequence[str]) -> SpeedVerdict:
+    run = case.worst
+    sight_s, seen_s = case.sight.seconds, run.detected_s
+    cause, why = _failure(case) if run.margin_s < 0.0 else (None, "")
+    return SpeedVerdict(
+        speed_km_h=case.speed_km_h,
+        impact=case.impact,
+        sight_m=None if sight_s is None else case.runs[0].approach.gap_m(sight_s),
+        seen_m=None if seen_s is None else run.approach.gap_m(seen_s),
+        seen_s=None if seen_s is None else run.approach.lead_s - seen_s,
+        needed_m=run.approach.gap_m(run.last_s),
+        needed_s=run.needed_s,
+        margin_m=run.approach.closing_m_s * run.margin_s,
+        margin_s=run.margin_s,
+        lost=tuple(names[n] for n in run.lost),
+        cause=cause,
+        why=why,
+    )
+
+
+def _failure(case: ScenarioCase) -> tuple[Cause, str]:
+    """Why a target is not seen in time."""
+    run = case.worst
+    if (frame := run.lost_frame) is not None:
+        lost_m = run.approach.gap_m(float(run.frame_end_s[frame]))
+        return "lost_track", f"lost track at {lost_m:.1f} m: {run.returns[frame]} of {run.demanded} returns"
+    if not case.is_seen_in_time:
+        return "in_sight_too_late", "in sight too late"
+    if run.detected_s is None:
+        return "never_seen", f"never seen: at most {run.returns.max()} of {run.demanded} returns"
+    return "seen_too_late", "first seen too late"
 
 
 def _notes(found: ScenarioResult, case: ScenarioCase) -> tuple[str, ...]:
