@@ -72,12 +72,12 @@ def speeds_table(one: RequirementVerdict, other: RequirementVerdict | None = Non
         Column("margin", "+.1f", "m", key="margin_m"),
         Column("margin", "+.2f", "s", key="margin_s"),
         Column("verdict", key="pass"),
-        *([Column("margin of the other", "+.1f", "m"), Column("change", "+.1f", "m")] if others else []),
+        *([Column("other's", "+.1f", "m"), Column("change", "+.1f", "m")] if others else []),
         *([Column("why", key="why")] if any(record["why"] for record in records) else []),
         *([Column("sensors lost", key="lost")] if any(record["lost"] for record in records) else []),
     ]
     for record, beside in zip(records, others, strict=bool(others)):
-        record["margin of the other"] = beside["margin_m"]
+        record["other's"] = beside["margin_m"]
         record["change"] = record["margin_m"] - beside["margin_m"]
     caption = (
         f"{truncate(one.name)}, in metres before the impact: in sight from the best place within the sensors' bounds, "

@@ -167,7 +167,7 @@ def test_beside_another_rig():
     table = speeds_table(found.requirements[0], other.requirements[0])
     (record,) = table.records
     assert record["change"] == pytest.approx(20 / 3.6 * 0.5)
-    assert record["margin of the other"] == pytest.approx(record["margin_m"] - record["change"])
+    assert record["other's"] == pytest.approx(record["margin_m"] - record["change"])
     assert remarks(found, other)[1] == "child <ahead>: the other rig: in time at 20 km/h, the only speed tested"
 
 
