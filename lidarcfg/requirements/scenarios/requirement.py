@@ -16,7 +16,7 @@ from lidarcfg.requirements.evidence import Evidence
 from lidarcfg.requirements.judge import PlainRequirement
 from lidarcfg.requirements.kind import Clusters, Context, Entry, Kind, Lost, Returns
 from lidarcfg.requirements.scenarios.approach import EMERGENCY, Braking, BrakingOrName, VehicleExtent, approach_of
-from lidarcfg.requirements.scenarios.file import Scenario, Speeds, load_scenario
+from lidarcfg.requirements.scenarios.file import Scenario, Speeds, load_scenario, scenario_of
 from lidarcfg.requirements.scenarios.run import (
     NO_SPEEDS,
     RETURNS,
@@ -65,13 +65,18 @@ class ScenarioKind(Kind):
         lost = entry.lost(self.lost, context)
         site = context.site
         vehicle, _ = entry.vehicle(site)
+        folder = entry.path.parent
         with entry.errors_at("scenario"):
-            scenario = load_scenario(self.scenario, entry.path.parent, self.target)
+            scenario = load_scenario(self.scenario, folder)
             speeds_km_h = self.speeds_km_h or scenario.file.speeds_km_h
             if not speeds_km_h:
                 raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
-            braking = self.braking or EMERGENCY
-            extent = VehicleExtent.of(vehicle)
+        if self.target:
+            with entry.errors_at("target"):
+                scenario = scenario_of(scenario.file, self.target, folder)
+        braking = self.braking or EMERGENCY
+        extent = VehicleExtent.of(vehicle)
+        with entry.errors_at("speeds_km_h" if self.speeds_km_h else "scenario"):
             for speed_km_h, impact in product(speeds_km_h, scenario.file.impacts):
                 approach_of(scenario, extent, speed_km_h, impact, site.ground_m, braking)
         return ScenarioRequirement(
