@@ -32,6 +32,7 @@ def draw_scenario(found: ScenarioResult) -> "Figure":
     figure = new_figure(3.6 * min(len(found.cases), COLUMNS), 2.6 * scenario_rows(found) + 0.7)
     draw_scenario_on(figure, found)
     figure.suptitle(found.scenario.name, parse_math=False)
+    figure.draw_without_rendering()  # a layout is whole the second time, with the sizes of all labels
     return figure
 
 
@@ -81,7 +82,7 @@ def _draw_case(axes: "Axes", found: ScenarioResult, case: ScenarioCase) -> None:
     if case.sight_margin_s is not None:
         axes.axvline(worst.needed_s + case.sight_margin_s, color=COLOURS[1], ls="-.", label="earliest line of sight")
     left_s = max(2 * worst.needed_s, worst.needed_s + worst.margin_s, worst.needed_s + (case.sight_margin_s or 0.0))
-    axes.set_xlim(min(1.1 * left_s, worst.approach.lead_s), 0.0)
+    axes.set_xlim(min(1.1 * left_s, 1.02 * case.runs[0].approach.lead_s), 0.0)  # the first run is the longest
     margin_m = worst.approach.closing_m_s * worst.margin_s
     where = f", {case.impact:.0%}" if len(found.scenario.file.impacts) > 1 else ""
     axes.set_title(f"{case.speed_km_h:g} km/h{where}: {worst.margin_s:+.2f} s, {margin_m:+.1f} m", fontsize=9)

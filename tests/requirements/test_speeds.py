@@ -9,6 +9,7 @@ import pytest
 
 from lidarcfg.report.junit import junit
 from lidarcfg.report.results import to_json
+from lidarcfg.report.scenario import draw_scenario
 from lidarcfg.report.verdict import remarks, speeds_table, verdict_dict
 from lidarcfg.requirements.scenarios.approach import EMERGENCY, Approach, VehicleExtent
 from lidarcfg.requirements.scenarios.file import load_scenario
@@ -22,6 +23,7 @@ from tests.naive import scenario as naive
 CAR = VehicleExtent(front_m=2.4, rear_m=-2.4, right_m=-0.95, left_m=0.95)
 LEAD_S = 3.0
 FRAME_S = 0.1
+UPRIGHT = "last moment to brake", "detected", "earliest line of sight"
 SHOWS_S = 0.5  # when the target comes into sight
 
 
@@ -33,8 +35,12 @@ def case(speed_km_h, enough, impact=0.5, shows_s=SHOWS_S, returns=12):
     return ScenarioCase(speed_km_h, impact, (run,), LineOfSight(shows_s, 1, 1))
 
 
+def result_of(*cases):
+    return ScenarioResult(load_scenario("cpnco"), Rule(), EMERGENCY, ("front",), cases)
+
+
 def speeds_of(*cases):
-    return by_speed(ScenarioResult(load_scenario("cpnco"), Rule(), EMERGENCY, ("front",), cases))
+    return by_speed(result_of(*cases))
 
 
 def at_once(speed_km_h):
@@ -119,6 +125,40 @@ def test_the_worst_impact_counts():
     both = case(36.0, lambda n: n >= 10, impact=0.25), case(36.0, lambda n: n >= 15, impact=0.75)
     (found,) = speeds_of(*both).tested
     assert (found.impact, found.seen_m) == (0.75, pytest.approx(15.0))
+
+
+@pytest.mark.slow
+def test_no_speed_is_cut_off_the_picture():
+    """Of eight speeds, in time, late and never: axes, titles and legend are on the figure and apart, lines in their axes."""
+    cases = [at_once(one) for one in (10.0, 20.0, 30.0, 40.0, 50.0)]
+    cases += [case(60.0, lambda n: True, shows_s=0.0), case(70.0, lambda n: n >= 29), case(80.0, lambda n: False)]
+    figure = draw_scenario(result_of(*cases))
+    figure.canvas.draw()
+    assert [axes.get_title().split(" km/h")[0] for axes in figure.axes] == [
+        "10",
+        "20",
+        "30",
+        "40",
+        "50",
+        "60",
+        "70",
+        "80",
+    ]
+    whole = [axes.get_tightbbox() for axes in figure.axes] + [figure.legends[0].get_window_extent()]
+    for n, box in enumerate(whole):
+        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+        assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1
+        assert not any(box.overlaps(other) for other in whole[:n])
+    for axes in figure.axes:
+        left, right = axes.get_xlim()
+        low, high = axes.get_ylim()
+        upright = [line.get_xdata()[0] for line in axes.lines if line.get_label() in UPRIGHT]
+        assert len(upright) >= 2
+        assert all(left > before_s > right for before_s in upright)
+        (returns,) = (line.get_ydata() for line in axes.lines if line.get_label() == "worst run")
+        assert low < min(returns) <= max(returns) < high
+        assert [label.get_text() for label in axes.get_yticklabels()][:3] == ["0", "1", "10"]
+    assert figure.axes[5].get_xlim()[0] > LEAD_S  # in sight from the start
 
 
 def verdict_of(speeds: SpeedVerdicts, name="child <ahead>") -> Verdict:
