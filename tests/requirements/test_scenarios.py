@@ -8,6 +8,7 @@ from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.scenario import draw_scenario, save_drive
+from lidarcfg.requirements.scenarios.requirement import ScenarioJudge
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.file import StudyFile
@@ -74,6 +75,11 @@ def test_the_verdict_in_seconds(files):
     lost, without = judged(files, ("[50]", "[50], lost: 1"))
     assert (without.lost, without.margin < found.margin) == (("left",), True)
     mounts = load_rig(files / "rig.yaml").mounts
+    judge = ScenarioJudge(both)
+    judge.judge(mounts)  # keeps its runs for the evidence, which are those of a rig that is run anew
+    shown = judge.evidence(mounts, found).frames
+    for one, other in zip(shown.cases[0].runs, both.result(mounts).cases[0].runs, strict=True):
+        np.testing.assert_array_equal(one.returns, other.returns)
     alone = both.result(mounts[1:])
     assert without.margin == pytest.approx(alone.worst.worst.margin_s)
     assert ("left" in found.breaking) == (without.margin < 0)

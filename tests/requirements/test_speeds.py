@@ -175,7 +175,7 @@ def test_terminal_page_json_and_junit_say_the_same():
     assert values["in_time_up_to_km_h"] == 20
     table = speeds_table(one)
     assert [column.head for column in table.columns[:5]] == [
-        "speed (km/h)",
+        "km/h",
         "in sight (m)",
         "seen (m)",
         "needed (m)",

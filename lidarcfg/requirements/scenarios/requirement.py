@@ -1,5 +1,6 @@
 """Scenarios: a moving target is detected in time to brake."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -13,7 +14,7 @@ from lidarcfg.config.models import path_from
 from lidarcfg.errors import ConfigError
 from lidarcfg.requirements.allowed_rigs import Bounds
 from lidarcfg.requirements.evidence import Evidence
-from lidarcfg.requirements.judge import PlainRequirement
+from lidarcfg.requirements.judge import Judge, Requirement
 from lidarcfg.requirements.kind import Clusters, Context, Entry, Kind, Lost, Returns
 from lidarcfg.requirements.scenarios.approach import EMERGENCY, Braking, BrakingOrName, VehicleExtent, approach_of
 from lidarcfg.requirements.scenarios.file import Scenario, Speeds, load_scenario, scenario_of
@@ -28,10 +29,12 @@ from lidarcfg.requirements.scenarios.run import (
 from lidarcfg.requirements.speeds import Cause, SpeedVerdict, SpeedVerdicts
 from lidarcfg.requirements.verdict import RequirementVerdict, WorstPlace
 from lidarcfg.returns.counts import OnPlaces, no_progress
+from lidarcfg.returns.known import Share
 from lidarcfg.returns.target import ObjectOrName
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.world.vehicle import Vehicle
 
+KEPT = 2  # rigs: one, and that which it is compared with
 PLACES_PER_CASE = 2000  # whose returns take about as long to count as the runs at a speed and an impact
 
 
@@ -93,10 +96,9 @@ class ScenarioKind(Kind):
 
 
 @dataclass(frozen=True)
-class ScenarioRequirement(PlainRequirement):
+class ScenarioRequirement(Requirement):
     """A scenario's target is detected in time to brake at all speeds."""
 
-    is_slow: ClassVar[bool] = True
     name: str
     scenario: Scenario
     vehicle: Vehicle
@@ -107,50 +109,15 @@ class ScenarioRequirement(PlainRequirement):
     sensor_bounds: Bounds | None = None  # for the earliest line of sight; None: where they are
     ground_m: float = 0.0
 
-    @property
-    def work(self) -> int:
-        """About the number of places that would take as long, for progress."""
-        return PLACES_PER_CASE * len(self.speeds_km_h) * len(self.scenario.file.impacts)
-
-    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
-        """The verdict on a rig, in seconds before the last moment to brake. Raises ConfigError."""
-        done = 0
-
-        def on_progress(fraction: float) -> None:
-            nonlocal done
-            now = round(fraction * self.work)
-            on_places(now - done)
-            done = now
-
-        tried = self._tried(mounts, on_progress)
-        found = tried.with_lost(0, self.lost)
-        case = found.worst
-        worst = case.worst
-        return RequirementVerdict(
-            name=self.name,
-            kind=ScenarioKind.key,
-            passed=found.met,
-            unit="s",
-            demanded=0.0,
-            reached=worst.margin_s,
-            at_most=False,
-            shortfall=found.shortfall,
-            worst=_place(case),
-            lost=tuple(mounts[n].name for n in worst.lost),
-            breaking=tuple(mount.name for n, mount in enumerate(mounts) if tried.fails_without(n)),
-            speeds=by_speed(found),
-            notes=_notes(found, case),
-        )
+    def judge_with(self, share: Share | None = None) -> "ScenarioJudge":
+        """A judge."""
+        return ScenarioJudge(self)
 
     def result(self, mounts: Sequence[Mount]) -> ScenarioResult:
         """The runs of a rig with as many sensors lost as the requirement says, and with all sensors."""
-        return self._tried(mounts).with_lost(0, self.lost)
+        return self.tried(mounts).with_lost(0, self.lost)
 
-    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
-        """The evidence for a verdict on a rig."""
-        return Evidence(found, frames=self.result(mounts))
-
-    def _tried(
+    def tried(
         self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
     ) -> ScenarioResult:
         """The runs of a rig, also with each single sensor lost, whether that is asked for or not."""
@@ -166,6 +133,58 @@ class ScenarioRequirement(PlainRequirement):
             ground_m=self.ground_m,
             on_progress=on_progress,
         )
+
+
+class ScenarioJudge(Judge):
+    """Judges rigs by a scenario; the runs of the last ones are kept for their evidence."""
+
+    is_slow: ClassVar[bool] = True
+
+    def __init__(self, requirement: ScenarioRequirement) -> None:
+        self.requirement = requirement
+        self._kept: deque[tuple[Sequence[Mount], ScenarioResult]] = deque(maxlen=KEPT)
+
+    @property
+    def work(self) -> int:
+        """About the number of places that would take as long, for progress."""
+        return PLACES_PER_CASE * len(self.requirement.speeds_km_h) * len(self.requirement.scenario.file.impacts)
+
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
+        """The verdict on a rig, in seconds before the last moment to brake. Raises ConfigError."""
+        done = 0
+
+        def on_progress(fraction: float) -> None:
+            nonlocal done
+            now = round(fraction * self.work)
+            on_places(now - done)
+            done = now
+
+        tried = self.requirement.tried(mounts, on_progress)
+        self._kept.append((mounts, tried))
+        found = tried.with_lost(0, self.requirement.lost)
+        case = found.worst
+        worst = case.worst
+        return RequirementVerdict(
+            name=self.requirement.name,
+            kind=ScenarioKind.key,
+            passed=found.met,
+            unit="s",
+            demanded=0.0,
+            reached=worst.margin_s,
+            at_most=False,
+            shortfall=found.shortfall,
+            worst=_place(case),
+            lost=tuple(mounts[n].name for n in worst.lost),
+            breaking=tuple(mount.name for n, mount in enumerate(mounts) if tried.fails_without(n)),
+            speeds=by_speed(found),
+            notes=_notes(found, case),
+        )
+
+    def evidence(self, mounts: Sequence[Mount], found: RequirementVerdict) -> Evidence:
+        """The evidence for a verdict on a rig."""
+        known = next((tried for kept, tried in self._kept if kept is mounts), None)
+        tried = known or self.requirement.tried(mounts)
+        return Evidence(found, frames=tried.with_lost(0, self.requirement.lost))
 
 
 def _place(case: ScenarioCase) -> WorstPlace:
