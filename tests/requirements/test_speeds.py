@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 from xml.etree import ElementTree
 
 import numpy as np
@@ -27,16 +28,21 @@ UPRIGHT = "last moment to brake", "detected", "earliest line of sight"
 SHOWS_S = 0.5  # when the target comes into sight
 
 
+@cache
+def cpnco():
+    return load_scenario("cpnco")
+
+
 def case(speed_km_h, enough, impact=0.5, shows_s=SHOWS_S, returns=12):
     """A case of one run of 30 frames, with returns where `enough` says so of a frame's number, else with 7."""
-    one = Approach(load_scenario("cpnco"), CAR, speed_km_h, impact, LEAD_S)
+    one = Approach(cpnco(), CAR, speed_km_h, impact, LEAD_S)
     counts = np.array([returns if enough(n) else 7 for n in range(1, 31)])
     run = ScenarioRun(one, 0, (), FRAME_S, needed(one, EMERGENCY), 10, counts)
     return ScenarioCase(speed_km_h, impact, (run,), LineOfSight(shows_s, 1, 1))
 
 
 def result_of(*cases):
-    return ScenarioResult(load_scenario("cpnco"), Rule(), EMERGENCY, ("front",), cases)
+    return ScenarioResult(cpnco(), Rule(), EMERGENCY, ("front",), cases)
 
 
 def speeds_of(*cases):
@@ -111,13 +117,28 @@ def test_up_to_which_speed(in_time, late, up_to, said):
     """By a loop over the speeds, in whatever order they are given, until the first that is late."""
     found = found_at(in_time, late)
     assert (found.up_to_km_h, found.text) == (up_to, said)
-    highest = None
-    for speed in sorted((*in_time, *late)):
-        if speed in late:
-            break
-        highest = speed
-    assert found.up_to_km_h == highest
+    assert found.up_to_km_h == naive.up_to({speed: speed in in_time for speed in (*in_time, *late)})
     assert [one.speed_km_h for one in found.tested] == sorted((*in_time, *late))
+
+
+@pytest.mark.parametrize("speed_km_h", [36.0, 72.0])
+def test_margins_of_any_returns(speed_km_h):
+    """Beside frames that are walked back from the last moment to brake, one by one."""
+    rng = np.random.default_rng(7)
+    needed_s = {36.0: 0.925, 72.0: 1.55}[speed_km_h]  # 9.25 m at 10 m/s, 31 m at 20 m/s
+    causes = set()
+    for _ in range(200):
+        counts = rng.choice([0, 9, 10, 40], 30, p=rng.dirichlet([1, 1, 1, 1]))
+        (found,) = speeds_of(case(speed_km_h, lambda n, counts=counts: counts[n - 1] >= 10)).tested
+        seen_s = naive.seen_before(counts, FRAME_S, LEAD_S, needed_s, 10)
+        assert found.seen_s == (None if seen_s is None else pytest.approx(seen_s))
+        margin_s = (seen_s or 0.0) - needed_s
+        assert found.margin_s == pytest.approx(margin_s)
+        assert found.margin_m == pytest.approx(margin_s * speed_km_h / 3.6)
+        assert found.passed == (margin_s >= 0)
+        assert (found.cause is None) == found.passed
+        causes.add(found.cause)
+    assert causes >= {None, "lost_track"}
 
 
 def test_the_worst_impact_counts():
