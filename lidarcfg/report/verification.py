@@ -49,7 +49,7 @@ def requirement_parts(found: Verification, rig: Rig, against: Verdict | None = N
         yield heading(f"{PASS if one.verdict.passed else FAIL}: {truncate(one.verdict.name)}")
         yield sentence(one.verdict)
         if one.verdict.speeds:
-            yield speeds_table(one.verdict, against and against.requirements[n - 1])
+            yield speeds_table(one.verdict, against.requirements[n - 1] if against else None)
         yield figure(draw_map(one, rig, n), map_caption(one))
         yield figure(
             draw_frames(one, n),
