@@ -11,7 +11,7 @@ DISCRIMINATING_KEYS = {  # keys that only one kind has; the first kind that matc
     "capture manifest": {"rig", "scene", "duration_s"},
     "plan": {"vary", "together"},
     "study": {"region"},
-    "scenario": {"target"},
+    "scenario": {"target", "impacts", "cars", "speeds_km_h", "before_impact_s", "from_m", "backwards"},
     "trajectory": MOTIONS,
     "scene": {"ground", "weather", "geo_origin", "height_fields", "models", "surfels"},
     "vehicle": {"allow_inside"},
