@@ -110,7 +110,7 @@ def camera_numbers(text: str) -> tuple[float, ...]:
         "--worst",
         type=click.IntRange(0, WORST_MAX),
         metavar="N",
-        help="Show the N worst subspaces, at most 10.  [default: 3, or none where the ground shows what is missed]",
+        help="Show the N worst subspaces, at most 10.  [default: 3, or none beside points or what is missed]",
     ),
     cloup.option(
         "--camera",
@@ -169,7 +169,7 @@ def view(
     from lidarcfg.capture.selection import Selection
     from lidarcfg.viewer.camera import Camera
     from lidarcfg.viewer.contents import complete_inputs, load_contents
-    from lidarcfg.viewer.page import WORST_SHOWN, page_of, save_html
+    from lidarcfg.viewer.page import page_of, save_html
     from lidarcfg.viewer.still import save_still
     from lidarcfg.viewer.window import show_window
 
@@ -184,7 +184,7 @@ def view(
         )
     count = len(contents.cloud.xyz)
     if png:
-        save_still(contents, png, size, seen_from, colour, WORST_SHOWN if worst is None else worst)
+        save_still(contents, png, size, seen_from, colour, worst)
         if not quiet:
             click.echo(f"{png}: {count:,} points")
     if window:

@@ -29,7 +29,7 @@ from lidarcfg.viewer.evaluation import evaluations
 from lidarcfg.viewer.evaluation import verdict as verdict_on
 from lidarcfg.viewer.missed import MissCounter
 from lidarcfg.viewer.mounting import has_its_sensors, mirrored_pairs, surface_mounts
-from lidarcfg.viewer.still import GROUND_M
+from lidarcfg.viewer.still import GROUND_M, WORST_SHOWN
 from lidarcfg.viewer.timeline import Timeline, parts, timeline, tracks
 
 ASSETS = Path(__file__).parent / "web"
@@ -43,7 +43,6 @@ MODULES = {"three": "vendor/three.js"} | {
 BINS = 256  # of time: in each the points are in random order, so that a part of it is a fair sample
 SURROUNDINGS_M = 40.0  # shown around the vehicle in a scene
 MISSED_M = 10.0  # shown around the vehicle where the ground shows what is missed
-WORST_SHOWN = 3  # of the worst subspaces
 ALONE_M = 4.0  # shown around sensors without anything else
 SIDES = np.array(list(np.ndindex(3, 3, 3))) - 1.0  # to look for outermost places
 PIECE = 3 << 22  # bytes of an array in one script of a standalone file
@@ -62,15 +61,15 @@ def page_of(
 ) -> Page:
     """All that the page shows; if it is served it asks for detection rates and the verdict itself.
 
-    So many of the `worst` subspaces are shown first: 3, or none where the ground shows what is missed.
+    So many of the `worst` subspaces are shown first; by default none where there are points, or where the ground shows
+    what is missed.
     Raises CloudError if there is nothing to show, or the colour is unknown.
     """
     if not (len(contents.cloud.xyz) or contents.rigs or contents.study or contents.scenes):
         raise CloudError("the cloud is empty; there is nothing to show")
     if by == "object" and contents.objects is None:
         raise CloudError("objects are known only from ground truth; give the .npz of export --truth, too")
-    if worst is None:
-        worst = 0 if _shows_misses(contents) else WORST_SHOWN
+    shown_worst = _shown_worst(contents) if worst is None else worst
     line = timeline(contents)
     points, arrays = _points(contents, line) if line and len(contents.cloud.xyz) else (None, {})
     if line:
@@ -81,10 +80,11 @@ def page_of(
     about = {
         "version": __version__,
         "by": by,
-        "worst": worst,
+        "worst": shown_worst or WORST_SHOWN,
+        "shows_worst": shown_worst > 0,
         "camera": camera
         and {"eye_m": camera.eye_m.tolist(), "target_m": camera.target_m.tolist(), "field_deg": camera.field_deg},
-        "opening": _opening(contents, shown[0], worst).tolist(),
+        "opening": _opening(contents, shown[0], shown_worst).tolist(),
         "colours": {
             "background": colours.NIGHT,
             "scale": list(colours.SCALE),
@@ -292,10 +292,11 @@ def _counts_misses(study: Study, rig: Rig) -> bool:
         return False
 
 
-def _shows_misses(contents: Contents) -> bool:
-    """Whether the page opens with what is missed on the ground: beside points it would hide them."""
+def _shown_worst(contents: Contents) -> int:
+    """How many of the worst subspaces the page opens with: none where they would hide points, or what is missed."""
     study = contents.study
-    return study is not None and not len(contents.cloud.xyz) and _counts_misses(study, contents.rigs[0])
+    covered = len(contents.cloud.xyz) or (study and _counts_misses(study, contents.rigs[0]))
+    return 0 if covered else WORST_SHOWN
 
 
 def _study(study: Study, rig: Rig) -> dict[str, Any]:

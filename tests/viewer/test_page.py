@@ -225,6 +225,26 @@ def test_without_webgl_the_page_says_so(scattered, tmp_path):
 
 
 @in_browser
+def test_the_page_opens_on_the_vehicle_the_points_and_what_is_missed(chromium, served, contents):
+    """No slab is drawn before a click asks for it: as if the rig had none; the ground shows what is missed."""
+    opened(chromium, served)
+    before = picture(chromium)
+    chromium.execute_script("lidarcfg.worst.set([]); lidarcfg.stage.redraw()")
+    assert different(picture(chromium), before) == 0
+    opened(chromium, served)
+    click(chromium, "#bodies")
+    assert different(picture(chromium), before) > 1000
+    click(chromium, "#bodies")
+    put(chromium, "#worst", 2)  # asks for them, too
+    assert different(picture(chromium), before) > 1000
+    click(chromium, "#bodies")
+    click(chromium, "#missed")
+    assert different(picture(chromium), before) > 100
+    at = on_screen(chromium, contents.study.vehicle.scene.mesh()[0].mean(axis=0))
+    assert abs(np.array(at)).max() < 160  # pixels from the middle
+
+
+@in_browser
 def test_controls_change_the_picture(chromium, served):
     opened(chromium, served)
     before = picture(chromium)

@@ -1,4 +1,4 @@
-// Texts at places in the scene. One that would lie over an earlier one stands above it.
+// Texts above places in the scene, with a line down to them. One that would lie over an earlier one stands above it.
 
 import { Vector3 } from "three";
 
@@ -16,14 +16,17 @@ export class Labels {
     const element = document.createElement("span");
     element.textContent = text;
     element.style.color = colour;
-    this.box.append(element);
-    const label = { element, place };
+    const line = document.createElement("i");
+    line.style.background = colour;
+    this.box.append(line, element);
+    const label = { element, line, place };
     this.labels.add(label);
     return label;
   }
 
   remove(label) {
     label.element.remove();
+    label.line.remove();
     this.labels.delete(label);
   }
 
@@ -31,18 +34,22 @@ export class Labels {
     const at = new Vector3();
     const boxes = [];
     for (const label of this.labels) {
-      const { element } = label;
+      const { element, line } = label;
       const found = label.place();
       if (found) at.copy(found).project(camera);
       const seen = found && at.z > -1 && at.z < 1 && Math.abs(at.x) < 1.1 && Math.abs(at.y) < 1.1;
-      element.hidden = !seen;
+      element.hidden = line.hidden = !seen;
       if (!seen) continue;
       label.size ??= [element.offsetWidth, element.offsetHeight];
       const [wide, high] = label.size;
-      const x = ((at.x + 1) / 2) * width - wide / 2;
-      const y = free(boxes, x, ((1 - at.y) / 2) * height - (1 + LIFT) * high, wide, high);
+      const middle = ((at.x + 1) / 2) * width;
+      const foot = ((1 - at.y) / 2) * height;
+      const x = middle - wide / 2;
+      const y = free(boxes, x, foot - (1 + LIFT) * high, wide, high);
       boxes.push([x, y, wide, high]);
       element.style.transform = `translate(${x}px, ${y}px)`;
+      line.style.transform = `translate(${middle}px, ${Math.min(y + high, foot)}px)`;
+      line.style.height = `${Math.max(foot - y - high, 0)}px`;
     }
   }
 }

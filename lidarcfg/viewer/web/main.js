@@ -147,10 +147,10 @@ function bodyControls(view, panel, mounts) {
     if (study.zones.length) toggled("zones", "zones", zones(study, stage, colours));
     if (study.misses && (about.live || about.misses)) {
       view.missed = new Missed();
-      toggled("missed", "what is missed on the ground", view.missed.object, stage.vehicle, !view.cloud);
+      toggled("missed", "what is missed on the ground", view.missed.object);
     }
     view.worst = new Worst(stage, colours);
-    toggled("bodies", "worst subspaces", view.worst.object);
+    toggled("bodies", "worst subspaces", view.worst.object, stage.vehicle, about.shows_worst);
     if (about.evaluation.blind) {
       view.blind = new Changing(colours.blind, 0.22);
       toggled("blind", "what no sensor sees", view.blind.object, stage.vehicle, false);
@@ -190,7 +190,10 @@ function studyControls(view, panel) {
     panel.append(view.misses.element);
     if (about.misses) showMisses(view, about.misses);
   }
-  view.figures = new EvaluationSection(about, (count) => show(view, view.evaluation, count));
+  view.figures = new EvaluationSection(about, (count) => {
+    if (!view.worst.object.visible) document.getElementById("bodies").click();
+    show(view, view.evaluation, count);
+  });
   panel.append(view.figures.element);
   show(view, about.evaluation, Math.min(about.worst, about.evaluation.worst.length));
 }
