@@ -40,8 +40,8 @@ HALO_PT = 2.5  # around numbers, which may lie on green
 PIXELS = 500  # along the longer edge of the picture of a body
 FROM_BEHIND = ("left", "rear")  # sides from which the horizontal axis points to the left
 MOUNTS_CAPTION = (
-    "The sensors by number. Arrows: their axes, towards the sensor's top. Dashed: the study's bounds. Grey: the vehicle; "
-    "without one, what is excluded from the region."
+    "The sensors by number. Arrows: their axes, towards the sensor's top. Dashed: the study's bounds. Grey: the "
+    "vehicle, or without one what is excluded from the region."
 )
 Bounds = dict[str, tuple[Array, Array]]  # by sensor: least and greatest position
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from lidarcfg import __version__
@@ -42,8 +43,10 @@ MODULES = {"three": "vendor/three.js"} | {
 }
 BINS = 256  # of time: in each the points are in random order, so that a part of it is a fair sample
 SURROUNDINGS_M = 40.0  # shown around the vehicle in a scene
-MISSED_M = 10.0  # shown around the vehicle where the ground shows what is missed
-ALONE_M = 4.0  # shown around sensors without anything else
+MISSED_M = 4.0  # shown around the vehicle where the ground shows what is missed
+NEAR_PERCENT = 40.0  # of the points, nearest to the sensors, that are shown: walls of a room stay behind the camera
+MOST_PERCENT = 70.0  # of the points of a cloud without a rig
+ALONE_M = 1.5  # shown around sensors without anything else
 SIDES = np.array(list(np.ndindex(3, 3, 3))) - 1.0  # to look for outermost places
 PIECE = 3 << 22  # bytes of an array in one script of a standalone file
 
@@ -245,12 +248,14 @@ def _opening(contents: Contents, found: dict[str, Any] | None, worst: int) -> Ar
     if contents.study and found:
         corners += [_corners(body["mesh"]) for body in found["worst"][:worst]]
         if not worst and contents.study.body:
-            corners.append(np.append(contents.study.body.middle_m, _ground_m(contents)) + MISSED_M * SIDES * (1, 1, 0))
+            around = shapely.get_coordinates(contents.study.body.shape.buffer(MISSED_M))
+            corners.append(np.column_stack([around, np.full(len(around), _ground_m(contents))]))
     elif len(contents.cloud.xyz):
         some = contents.cloud.xyz[:: max(len(contents.cloud.xyz) // 10_000, 1)]
         middle = corners[0].mean(axis=0) if len(corners[0]) else np.median(some, axis=0)
         away = np.linalg.norm(some - middle, axis=1)
-        corners.append(some[away <= np.clip(np.percentile(away, 70), 2.0, 60.0)])
+        share = NEAR_PERCENT if contents.rigs else MOST_PERCENT
+        corners.append(some[away <= np.clip(np.percentile(away, share), 2.0, 60.0)])
     elif contents.scenes or not len(corners[0]):
         corners.append(SIDES * (SURROUNDINGS_M, SURROUNDINGS_M, 0))
     else:

@@ -57,15 +57,14 @@ function build(about, stage, cloud, poses) {
   });
   for (const mount of mounts) stage.vehicle.add(mount.object);
 
-  panel.append(
-    sensorSection(about, (name, on) => {
-      cloud?.show(name, on);
-      mounts.filter((mount) => mount.name === name).forEach((mount) => {
-        mount.object.visible = on;
-      });
-      stage.redraw();
-    }),
-  );
+  const sensors = sensorSection(about, (name, on) => {
+    cloud?.show(name, on);
+    mounts.filter((mount) => mount.name === name).forEach((mount) => {
+      mount.object.visible = on;
+    });
+    stage.redraw();
+  });
+  if (sensors) panel.append(sensors);
   if (cloud) pointControls(view, panel);
   bodyControls(view, panel, mounts);
   if (view.tracks) timeControls(view, panel);
