@@ -245,6 +245,24 @@ def test_the_page_opens_on_the_vehicle_the_points_and_what_is_missed(chromium, s
 
 
 @in_browser
+def test_a_saved_picture_is_what_the_browser_shows(chromium, served):
+    """Compared with the browser's own screenshot, labels included."""
+    opened(chromium, served)
+    shown = picture(chromium)
+    chromium.find_element("tag name", "body").send_keys("p")
+    path = chromium.downloads / "lidarcfg.png"
+    end = time.monotonic() + 30
+    while not path.exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    saved = matplotlib.image.imread(path)[..., :3] * 255
+    assert saved.shape == shown.shape
+    assert different(saved, shown) < 600  # letters
+    click(chromium, "#sensor-0")
+    assert different(picture(chromium), saved) > 1000
+
+
+@in_browser
 def test_controls_change_the_picture(chromium, served):
     opened(chromium, served)
     before = picture(chromium)

@@ -4,6 +4,8 @@ import { Vector3 } from "three";
 
 const LIFT = 0.9; // of its height, from its place up to its lower edge
 const GAP = 1; // px between two
+const BACK = "#10141ccc"; // as the style sheet has them
+const PAD = 5; // px
 
 export class Labels {
   constructor(box) {
@@ -30,11 +32,29 @@ export class Labels {
     this.labels.delete(label);
   }
 
+  // Draw those that are shown as they are on the page.
+  draw(context) {
+    const { font } = getComputedStyle(this.box.querySelector("span") ?? this.box);
+    Object.assign(context, { font, textBaseline: "middle" });
+    for (const { at, size, element, line } of this.labels) {
+      if (!at) continue;
+      const [x, y, middle, foot] = at;
+      const [wide, high] = size;
+      context.fillStyle = line.style.background;
+      context.fillRect(middle, y + high, 1, Math.max(foot - y - high, 0));
+      context.fillStyle = BACK;
+      context.fillRect(x, y, wide, high);
+      context.fillStyle = element.style.color;
+      context.fillText(element.textContent, x + PAD, y + high / 2, wide - 2 * PAD);
+    }
+  }
+
   update(camera, width, height) {
     const at = new Vector3();
     const boxes = [];
     for (const label of this.labels) {
       const { element, line } = label;
+      label.at = null;
       const found = label.place();
       if (found) at.copy(found).project(camera);
       const seen = found && at.z > -1 && at.z < 1 && Math.abs(at.x) < 1.1 && Math.abs(at.y) < 1.1;
@@ -47,6 +67,7 @@ export class Labels {
       const x = middle - wide / 2;
       const y = free(boxes, x, foot - (1 + LIFT) * high, wide, high);
       boxes.push([x, y, wide, high]);
+      label.at = [x, y, middle, foot];
       element.style.transform = `translate(${x}px, ${y}px)`;
       line.style.transform = `translate(${middle}px, ${Math.min(y + high, foot)}px)`;
       line.style.height = `${Math.max(foot - y - high, 0)}px`;

@@ -7,7 +7,7 @@ import { grid, rings } from "lidarcfg/guides";
 import { Evaluator, Handles } from "lidarcfg/handles";
 import { listenToKeys } from "lidarcfg/keys";
 import { Measure } from "lidarcfg/measure";
-import { EvaluationSection, MissesSection, VerdictSection, check, colourSection, el, push, section, sensorSection, slide } from "lidarcfg/panel";
+import { EvaluationSection, MissesSection, VerdictSection, check, colourSection, download, el, push, section, sensorSection, slide } from "lidarcfg/panel";
 import { PointsCloud } from "lidarcfg/points";
 import { RasterCloud } from "lidarcfg/raster";
 import { RigSection } from "lidarcfg/rig";
@@ -284,6 +284,7 @@ function cameraControls(view, panel) {
   const follow = check("follow", "follow the vehicle", false, (on) => {
     view.tracks.following = on;
   });
-  const parts = [el("div", { className: "row" }, ...looks), el("div", { className: "row" }, fit, button)];
-  panel.append(section("Look", ...parts, view.about.timeline?.drives ? follow : null, text));
+  const save = push("save-picture", "Save picture", async () => download(await stage.picture(), "lidarcfg.png"));
+  const parts = [el("div", { className: "row" }, ...looks), el("div", { className: "row" }, fit, button, save)];
+  panel.querySelector("h1").after(section("Look", ...parts, view.about.timeline?.drives ? follow : null, text));
 }

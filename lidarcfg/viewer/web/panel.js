@@ -43,6 +43,12 @@ export function push(id, text, onClick) {
   return button;
 }
 
+export function download(blob, name) {
+  const link = el("a", { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
+
 // Sensors with their number of points; each can be hidden.
 export function sensorSection(about, onShow) {
   const counts = new Map((about.points?.sensors ?? []).map(({ name, count }) => [name, count]));
