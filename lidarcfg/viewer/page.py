@@ -312,7 +312,7 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         "max_m": study.region.max_m.tolist(),
         "cuboid_m": study.region.cuboid_m.tolist(),
         "cuboids": int(study.region.included.sum()),
-        "excluded": packed_quads(faces(study.region, ~study.region.included)),
+        "excluded": None if study.vehicle else packed_quads(faces(study.region, ~study.region.included)),
         "bounds": [
             {"min_m": low[:3].tolist(), "max_m": high[:3].tolist()}
             for low, high, mirror in zip(study.space.lower, study.space.upper, study.space.mirror, strict=True)

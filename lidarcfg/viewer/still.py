@@ -174,7 +174,7 @@ def _frame(contents: Contents, center: Array) -> Array:
     return np.array([(low + high) / 2 - half, (low + high) / 2 + half])
 
 
-class Part(NamedTuple):
+class Pane(NamedTuple):
     """A part of a picture, in pixels from its left and its bottom."""
 
     left: int
@@ -192,18 +192,18 @@ class Part(NamedTuple):
         return pixels[top : top + self.height, self.left : self.left + self.width]
 
 
-def _layout(width: int, height: int, frame: Array) -> tuple[Part, Part]:
+def _layout(width: int, height: int, frame: Array) -> tuple[Pane, Pane]:
     """Where the perspective is, and below or beside it, where it is larger, the view from above of a frame (2, 2)."""
     labels = round(LABELS_EM * _text_pt(height) * 100 / 72)
     margin = round(0.01 * width)
     bottom = round(0.055 * height)
     layouts = []
     for wide, high in ((1.0, 0.58), (0.52, 1.0)):  # of the perspective, as fractions of the picture
-        ahead = Part(0, height - round(high * height), round(wide * width), round(high * height))
+        ahead = Pane(0, height - round(high * height), round(wide * width), round(high * height))
         before = ahead.width if wide < 1 else 0
         left = before + min(max(labels, round(0.04 * width)), (width - before) // 2)
         above_height = (ahead.bottom or height) - bottom - margin
-        layouts.append((ahead, Part(left, bottom, max(width - margin - left, 1), max(above_height, 1))))
+        layouts.append((ahead, Pane(left, bottom, max(width - margin - left, 1), max(above_height, 1))))
     return max(layouts, key=lambda layout: _scale(layout[1].width, layout[1].height, frame))
 
 

@@ -265,6 +265,7 @@ def test_a_saved_picture_is_what_the_browser_shows(chromium, served):
 @in_browser
 def test_controls_change_the_picture(chromium, served):
     opened(chromium, served)
+    click(chromium, "#fit")
     before = picture(chromium)
     for turn in ("#sensor-1", "#region", "#bodies"):
         click(chromium, turn)

@@ -136,7 +136,7 @@ function bodyControls(view, panel, mounts) {
     }));
   };
   if (study) {
-    toggled("region", "region, and what it excludes (the vehicle)", region(study, colours));
+    toggled("region", study.excluded ? "region, and what it excludes" : "region", region(study, colours));
     if (study.bounds.length || study.base_area) {
       const limits = bounds(study, colours);
       view.bases = new Changing(colours.base, 0.9);
