@@ -314,6 +314,7 @@ def test_a_handle_moves_the_rig_and_max_vsr_follows(chromium, served, contents):
     opened(chromium, served)
     started = evaluate(contents.study, contents.rigs[0]).max_vsr_m
     assert shown_vsr(chromium) == started
+    click(chromium, "#fit")
     before = picture(chromium)
     put(chromium, "#mount", 0, "change")
     at = np.array(contents.rigs[0].mounts[0].position_m)
