@@ -16,7 +16,7 @@ from lidarcfg.world.meshes import cylinder_mesh, join_meshes
 from lidarcfg.world.scene import load_scene
 
 ROOT = Path(__file__).parents[2]
-SCENES = ["street"]
+SCENES = ["street", "depot"]
 SECONDS = np.arange(0, 61, 3.0)  # also beyond the ten seconds that data sets are likely to have
 HALF = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 GROUND_M = 1000.0
@@ -29,6 +29,7 @@ SIZES_M = {  # the least and the most: length, width, height
     "bicycle": ((1.5, 0.4, 1.5), (2.0, 0.8, 2.0)),
     "pedestrian": ((0.2, 0.3, 0.9), (1.0, 0.8, 2.0)),
     "other_vehicle": ((2.0, 1.0, 1.8), (5.0, 2.0, 2.6)),
+    "other_object": ((0.8, 0.5, 0.5), (1.5, 1.2, 2.0)),
 }
 
 
@@ -52,7 +53,7 @@ def world(request):
 
 def test_sizes_and_categories(world):
     """People, cyclists and cars in each, and some of each that move, as long and as wide as such things are."""
-    scene, objects, _ = world
+    _, objects, _ = world
     for category in ("pedestrian", "bicycle", "car"):
         assert any(one.category == category for one in objects), category
     moving = {one.category for one in objects if one.path}
@@ -100,7 +101,7 @@ def test_they_stand_on_the_ground(world):
 
 def test_nothing_else_is_in_a_box(world):
     """Samples of the surfaces of all other things but flat ground, 40 to a square metre: none is above a box's feet."""
-    scene, objects, mesh = world
+    _, objects, mesh = world
     corners = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
     mesh.remove_triangles_by_mask((corners[..., 2].min(axis=1) > 4) | (np.ptp(corners[..., 2], axis=1) < 1e-9))
     o3d.utility.random.seed(3)
