@@ -51,7 +51,7 @@ STANDS_S = 3600.0
 AHEAD_M = 25.0  # of the drive's start
 WALKER_M_S = 1.3
 CYCLIST_M_S = 4.5
-CYCLISTS = ((75.0, -25.0), (140.0, -20.0), (330.0, 70.0))  # from where to where along the road
+CYCLISTS = ((42.0, -25.0), (140.0, -20.0), (330.0, 70.0))  # from where to where along the road
 WALKERS = (  # and how far to its left: each lane of a pavement in one direction
     *((8.0, 70.0, 4.15), (48.0, 126.0, 4.15), (230.0, 308.0, 4.15), (360.0, 438.0, 4.15)),
     *((72.0, -6.0, 4.9), (105.0, 27.0, 4.9), (150.0, 72.0, 4.9), (215.0, 137.0, 4.9), (310.0, 232.0, 4.9)),

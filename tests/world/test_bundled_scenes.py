@@ -16,7 +16,7 @@ from lidarcfg.world.meshes import cylinder_mesh, join_meshes
 from lidarcfg.world.scene import load_scene
 
 ROOT = Path(__file__).parents[2]
-SCENES = ["street", "suburb", "depot"]
+SCENES = ["street", pytest.param("suburb", marks=pytest.mark.slow), "depot"]
 SECONDS = np.arange(0, 61, 3.0)  # also beyond the ten seconds that data sets are likely to have
 HALF = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 GROUND_M = 1000.0
