@@ -121,16 +121,24 @@ def test_matrices_that_are_no_poses(T, what):
         (lambda: lidarcfg.Rig("r", [3]), "rig 'r': a int is no mount"),
         (lambda: lidarcfg.Rig("r", [*two().mounts, two().mounts[0]]), "two sensors are called 'left'"),
         (lambda: lidarcfg.Rig("r", [lidarcfg.Mount("a b", "vlp-16", (0, 0, 1))]), "'a b' is no sensor's name"),
-        (
-            lambda: lidarcfg.Rig("r", [replace(one, host="192.168.1.7") for one in two().mounts]),
-            "192.168.1.7:2368 is that of 'left' and 'right'; give each its own",
-        ),
         (lambda: lidarcfg.Rig("r", two().mounts, vehicle=3), "a int is no vehicle; allowed: a Vehicle"),
     ],
 )
 def test_rigs_that_are_none(make, what):
     with pytest.raises(ConfigError, match=what):
         make()
+
+
+def test_two_sensors_of_one_address_are_neither_saved_nor_exported(tmp_path):
+    rig = lidarcfg.Rig("r", [replace(one, host="192.168.1.7") for one in two().mounts])
+    what = "rig 'r': 192.168.1.7:2368 is that of 'left' and 'right'; give each its own"
+    for write in (
+        lambda: lidarcfg.save_rig(rig, tmp_path / "r.yaml"),
+        lambda: lidarcfg.export(rig, SCENE, tmp_path / "a.pcap", 0.01),
+    ):
+        with pytest.raises(ConfigError, match=what):
+            write()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_sensor_that_is_in_no_file_is_not_saved(tmp_path):

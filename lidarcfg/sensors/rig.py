@@ -240,7 +240,7 @@ class Rig(Shown):
     """Sensors mounted on a vehicle: `Rig("two", [left, right])`.
 
     Mounts without an address get one each. The vehicle may also be a `Vehicle`, or a dict with the keys of its file.
-    Raises ConfigError for names that no file may have, and for two mounts of the same name, or address and port.
+    Raises ConfigError for names that no file may have, and for two mounts of the same name.
     """
 
     name: str
@@ -318,7 +318,7 @@ def _sensor_of(name: str, given: Sensor | str | Path, model: str | None) -> tupl
 
 
 def _with_hosts(what: str, mounts: Sequence[Mount]) -> tuple[Mount, ...]:
-    """The mounts, each with an address. Raises ConfigError for two that share one and a port."""
+    """The mounts, each with an address. Raises ConfigError if there are not enough."""
     taken = {mount.host for mount in mounts}
     free = (host for i in range(HOSTS) if (host := default_host(i)) not in taken)
     out: list[Mount] = []
@@ -329,13 +329,18 @@ def _with_hosts(what: str, mounts: Sequence[Mount]) -> tuple[Mount, ...]:
                 raise ConfigError(f"{what}: no default address is left for {mount.name!r}; give it a host")
             mount = replace(mount, host=host)
         out.append(mount)
+    return tuple(out)
+
+
+def check_addresses(rig: Rig) -> None:
+    """Raises ConfigError if two sensors send from the same address and port."""
     owners: dict[str, Mount] = {}
-    for mount in out:
+    for mount in rig.mounts:
         where = f"{mount.host}:{mount.data_port}"
         other = owners.setdefault(where, mount)
         if other is not mount:
-            raise ConfigError(f"{what}: {where} is that of {other.name!r} and {mount.name!r}; give each its own")
-    return tuple(out)
+            both = f"{other.name!r} and {mount.name!r}"
+            raise ConfigError(f"rig {rig.name!r}: {where} is that of {both}; give each its own")
 
 
 def _section(what: str, given: Any) -> Section | None:
@@ -565,6 +570,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     if not isinstance(rig, Rig):
         raise ConfigError(f"a {type(rig).__name__} is no rig; allowed: a Rig, as load_rig makes of a file or a dict")
     path = checked_path(path, "path")
+    check_addresses(rig)
     for mount in rig.mounts:
         if mount.model is None and mount.sensor != custom_sensor(mount.sensor.beams.elevation_deg):
             what = f"{path}: {mount.name}: sensor {mount.sensor.name!r} has more than elevations and is in no file"
