@@ -298,6 +298,7 @@ def test_a_search_takes_a_budget_and_rigs_to_begin_with(tmp_path):
     assert again.objective <= given.objective
 
 
+@pytest.mark.slow
 def test_results_are_short_in_words_and_go_to_other_processes():
     """Their repr is a line, and what pickle brings back is the same."""
     study = lidarcfg.load_study(STUDY | {"vehicle": BOX})
