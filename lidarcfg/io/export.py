@@ -20,7 +20,7 @@ from lidarcfg.files import check_replaceable, checked_path, remove_outdated, sys
 from lidarcfg.io import formats
 from lidarcfg.io.drive_dataset import DriveDataset
 from lidarcfg.sensors.faults import GivenFaults
-from lidarcfg.sensors.rig import ReturnMode, Rig, check_addresses
+from lidarcfg.sensors.rig import ReturnMode, Rig, check_writable
 from lidarcfg.simulate.scans import simulated_scans
 from lidarcfg.simulate.scene_drive import SceneDrive, object_names
 from lidarcfg.simulate.sensor_runs import SimulationOptions
@@ -113,7 +113,7 @@ def export(
     )
     if drive.rig.faults and not asked.is_capture:
         raise LidarcfgError("faults are of packets, for a .pcap; faults='none' leaves them out")
-    check_addresses(drive.rig)
+    check_writable(drive.rig)
     if drive.vehicle:
         check_outside(drive.vehicle, drive.rig.mounts, _file(rig))
     moved = None if isinstance(trajectory, Trajectory) else _file(trajectory)

@@ -240,7 +240,7 @@ class Rig(Shown):
     """Sensors mounted on a vehicle: `Rig("two", [left, right])`.
 
     Mounts without an address get one each. The vehicle may also be a `Vehicle`, or a dict with the keys of its file.
-    Raises ConfigError for names that no file may have, and for two mounts of the same name.
+    Raises ConfigError for two mounts of the same name, and for what is no mount.
     """
 
     name: str
@@ -254,10 +254,6 @@ class Rig(Shown):
         for mount in mounts:
             if not isinstance(mount, Mount):
                 raise ConfigError(f"{what}: a {type(mount).__name__} is no mount; allowed: a Mount")
-            if not re.fullmatch(MOUNT_NAME, mount.name):
-                raise ConfigError(
-                    f"{what}: {mount.name!r} is no sensor's name; allowed: a text that matches {MOUNT_NAME}"
-                )
         names = [mount.name for mount in mounts]
         if twice := [name for i, name in enumerate(names) if name in names[:i]]:
             raise ConfigError(f"{what}: two sensors are called {twice[0]!r}; each name may be given once")
@@ -332,10 +328,13 @@ def _with_hosts(what: str, mounts: Sequence[Mount]) -> tuple[Mount, ...]:
     return tuple(out)
 
 
-def check_addresses(rig: Rig) -> None:
-    """Raises ConfigError if two sensors send from the same address and port."""
+def check_writable(rig: Rig) -> None:
+    """Raises ConfigError for a sensor's name that no file may have, and for two that share an address and port."""
     owners: dict[str, Mount] = {}
     for mount in rig.mounts:
+        if not re.fullmatch(MOUNT_NAME, mount.name):
+            allowed = f"allowed: a text that matches {MOUNT_NAME}"
+            raise ConfigError(f"rig {rig.name!r}: {mount.name!r} is no sensor's name; {allowed}")
         where = f"{mount.host}:{mount.data_port}"
         other = owners.setdefault(where, mount)
         if other is not mount:
@@ -570,7 +569,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     if not isinstance(rig, Rig):
         raise ConfigError(f"a {type(rig).__name__} is no rig; allowed: a Rig, as load_rig makes of a file or a dict")
     path = checked_path(path, "path")
-    check_addresses(rig)
+    check_writable(rig)
     for mount in rig.mounts:
         if mount.model is None and mount.sensor != custom_sensor(mount.sensor.beams.elevation_deg):
             what = f"{path}: {mount.name}: sensor {mount.sensor.name!r} has more than elevations and is in no file"
