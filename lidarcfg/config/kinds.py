@@ -54,7 +54,7 @@ def kind_of(values: object) -> str | None:
     for kind in LISTS:  # a study, and a rig, may have them, too
         if kind in values:
             return kind
-    if OBJECTS & values.keys():  # the objects of a scene must say what they reflect, and a scene its name
+    if OBJECTS & values.keys():  # of a scene without a ground they are told from a vehicle's bodies by its name
         return "scene" if "name" in values else "vehicle"
     return None
 
