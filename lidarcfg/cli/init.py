@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 import cloup
 
-from lidarcfg.cli.options import FILE, quiet_option
+from lidarcfg.cli.options import FILE, quiet_option, warn
 
 KINDS = ("study", "rig", "scene", "sensor")
 
@@ -23,7 +23,8 @@ KINDS = ("study", "rig", "scene", "sensor")
 @cloup.option(
     "--vehicle",
     metavar="NAME",
-    help="For a study: a body from the package (bus, sedan, shuttle, truck), or a mesh file of your own.",
+    help="For a study: a body from the package (bus, delivery-robot, sedan, shuttle, truck), a mesh file of your own, "
+    "or a URDF, whose sensors become a rig.",
 )
 @quiet_option
 def init(kind: str, output: Path, vehicle: str | None, quiet: bool) -> None:
@@ -35,6 +36,6 @@ def init(kind: str, output: Path, vehicle: str | None, quiet: bool) -> None:
 
     if vehicle and kind != "study":
         raise click.UsageError(f"--vehicle is for a study, not for a {kind}")
-    written = write_template(kind, output, vehicle)
+    written = write_template(kind, output, vehicle, (lambda _: None) if quiet else warn)
     if not quiet:
         click.echo(f"written: {' '.join(map(str, written))}")

@@ -30,6 +30,7 @@ NO_MESHES = {  # by suffix: what the file is instead, and what to do
         (".step", ".stp", ".iges", ".igs"), "a CAD model has no triangles; export a mesh of it, for example an STL"
     ),
     **dict.fromkeys((".dae", ".3ds", ".blend"), "a format that is not read; export the mesh as glTF, OBJ or STL"),
+    ".urdf": "a robot; a vehicle or a scene names it under meshes",
     **dict.fromkeys((".png", ".npy"), "heights are no mesh; give them under height_fields, in a scene"),
 }
 

@@ -25,7 +25,9 @@ from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.mesh_frame import axes_warnings, unit_warnings
 from lidarcfg.world.mesh_source import Triangles
 from lidarcfg.world.meshes import Mesh
-from lidarcfg.world.scene import Scene, build_scene
+from lidarcfg.world.robot import read_robot
+from lidarcfg.world.robot_body import shaped_links
+from lidarcfg.world.scene import Scene, build_scene, is_robot
 from lidarcfg.world.scene_file import KINDS, Box, Cylinder, MeshFile, Plane, SceneFile, SceneObject, Sphere, check_names
 from lidarcfg.world.solids import (
     connected_components,
@@ -81,6 +83,7 @@ class BodyMesh(BodyKeys, MeshFile):
     """A mesh of a vehicle."""
 
     position_m: Position = ORIGIN
+    without: tuple[str, ...] | None = None  # links of a URDF that are no part of the body; by default its LiDARs
 
 
 class VehicleFile(Model):
@@ -264,7 +267,9 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
                 what = f"{_describe_open(item, edges)}; {solid} closed parts; it still blocks beams"
                 warnings.append(_warning(path, (*at, kind, i), what))
             if kind == "meshes":
-                looks = unit_warnings(item, mesh) + (axes_warnings(item, mesh) if len(file.meshes) == 1 else [])
+                alone = len(file.meshes) == 1 and not is_robot(item)  # whose axes are given
+                looks = unit_warnings(item, mesh) + (axes_warnings(item, mesh) if alone else [])
+                looks += _left_out(item, path.parent)
                 warnings += [_warning(path, (*at, kind, i, "file"), what) for what in looks]
     if len(scene.triangles) > MANY_TRIANGLES:
         seconds = time.perf_counter() - began
@@ -273,6 +278,15 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     excluded = tuple(item.name for kind in KINDS for item in getattr(file, kind) if item.exclude)
     whole = file.model_copy(update={"meshes": tuple(_whole(mesh, path.parent) for mesh in file.meshes)})
     return Vehicle(scene, excluded, file.allow_inside, whole, closed, tuple(warnings))
+
+
+def _left_out(item: BodyMesh, folder: Path) -> list[str]:
+    """What is said of the links of a robot that were left out without being named."""
+    if item.without is not None or not is_robot(item):
+        return []
+    robot = read_robot(folder / str(item.file))
+    left_out = [name for name in shaped_links(robot) if name in robot.lidars]
+    return [f"left out of the body, as LiDARs: {', '.join(left_out)}; without: [] keeps them"] if left_out else []
 
 
 def _whole(mesh: BodyMesh, folder: Path) -> BodyMesh:

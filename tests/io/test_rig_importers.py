@@ -16,8 +16,8 @@ from urdf_parser_py.urdf import URDF
 
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.io.rig_importers.sensor_kit import guessed_model, is_lidar, is_other
 from lidarcfg.io.ros_messages import Messages, ros_store
+from lidarcfg.sensors.lidar_names import guessed_model, is_lidar, is_other
 from lidarcfg.sensors.rig import load_rig, save_rig
 from tests.io.test_convert_rig import odd_rig
 
@@ -100,7 +100,7 @@ def test_a_urdf_becomes_a_rig(here):
         np.testing.assert_allclose(mounts[name].T_vehicle_sensor, chained(robot, link, "base_link"), atol=1e-14)
     assert mounts["rear_os_sensor"].rpy_rad == (0.1, 0.2, -0.3)  # as it stands in the file
     assert said[0] == "lidarcfg: warning: kit.urdf: rack: a joint that moves, taken at zero"
-    assert "its meshes (2, 1 of them scaled) are not taken" in said[1]
+    assert "its body is not taken: link 'base_link': package 'bus' is not found" in said[1]
     assert said[2].endswith("taken by name: top_laser as vlp-16; --model NAME=MODEL says otherwise")
     assert said[3].endswith("a rig has LiDARs only; left out: camera_front, rear/os_imu")
     assert len(said) == 4

@@ -10,8 +10,8 @@ from typing import Any
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import check_memory, check_regular
-from lidarcfg.io.rig_importers.frame_tree import listed, pose_of_quaternion
 from lidarcfg.io.rig_importers.sensor_kit import LidarFrame, SensorKit
+from lidarcfg.world.frame_tree import listed, pose_of_quaternion
 
 SENSOR = "sensor.json"
 CALIBRATED = "calibrated_sensor.json"

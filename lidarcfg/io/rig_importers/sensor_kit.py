@@ -5,52 +5,12 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from lidarcfg.config.models import COORDINATE_MAX_M, NAME_MAX
+from lidarcfg.config.models import COORDINATE_MAX_M, NAME_MAX, Section
 from lidarcfg.errors import ConversionError
-from lidarcfg.io.rig_importers.frame_tree import FrameTree, Pose, listed
-from lidarcfg.io.ros_names import BASE_LINK
+from lidarcfg.sensors.lidar_names import guessed_model, is_lidar, is_other
 from lidarcfg.sensors.rig import MOUNT_NAME, RETURN_MODE, RPM, Mount, Rig, default_host, ports
 from lidarcfg.sensors.sensor import Sensor, catalogue, custom_sensor, load_sensor
-
-ALIASES = {  # what people call models of the catalogue besides their names, without case and punctuation
-    "alphaprime": "vls-128",
-    "hdl32": "hdl-32e",
-    "vlp32": "vlp-32c",
-    "xt16": "pandar-xt16",
-    "xt32": "pandar-xt32",
-    "xt32m": "xt32m2x",
-}
-BEAMS_ONLY = "fan-"  # models of the catalogue that nobody sells
-LIDARS = re.compile(
-    r"lidar|laser|velodyne|ouster|hesai|pandar|robosense|helios|bpearl|livox|puck|(^|[_/])(os|os[012]|vlp|vls|hdl)([_/\d]|$)"
-)
-OTHERS = re.compile(r"cam|imu|gnss|gps|(^|[_/])ins([_/]|$)|radar|sonar|ultrasonic|depth|optical|stereo|realsense|zed")
-
-
-def guessed_model(*texts: str) -> str | None:
-    """The catalogue's model named in the first text that names one; the longest name in it counts."""
-    known = {plain(name): name for name in catalogue() if not name.startswith(BEAMS_ONLY)} | ALIASES
-    for text in texts:
-        found = [name for name in known if name in plain(text)]
-        if found:
-            return known[max(found, key=len)]
-    return None
-
-
-def plain(text: str) -> str:
-    """A text in lower case, without blanks and punctuation."""
-    return re.sub(r"[^a-z0-9]", "", text.lower())
-
-
-def is_other(name: str) -> bool:
-    """Whether a frame is called as a sensor that is no LiDAR."""
-    return bool(OTHERS.search(name.lower()))
-
-
-def is_lidar(name: str) -> bool:
-    """Whether a frame is called as a LiDAR."""
-    return bool(LIDARS.search(name.lower())) or guessed_model(name) is not None
-
+from lidarcfg.world.frame_tree import BASE_LINK, FrameTree, Pose, listed
 
 LEAVE_OUT = "none"  # in place of a model: the frame is no LiDAR of the rig
 DRIVER_FRAME = "os_lidar"  # below os_sensor, which is the frame of an Ouster's points here
@@ -80,6 +40,7 @@ class SensorKit:
     others: tuple[str, ...] = ()  # sensors that a rig cannot hold
     candidates: tuple[str, ...] = ()  # all frames, where more than the LiDARs' may be named
     notes: tuple[str, ...] = ()  # what was assumed
+    vehicle: Section | None = None  # the body, as a rig has it
 
 
 def kit_of_tree(
@@ -183,7 +144,7 @@ def rig_of_kit(kit: SensorKit, models: Mapping[str, str], on_warning: Callable[[
         told.append(f"a rig has LiDARs only; left out: {', '.join(left_out)}")
     for text in told:
         on_warning(f"{kit.where}: {text}")
-    return Rig(kit.name[:NAME_MAX] or "rig", tuple(mounts))
+    return Rig(kit.name[:NAME_MAX] or "rig", tuple(mounts), kit.vehicle)
 
 
 def _mount(

@@ -9,8 +9,8 @@ import numpy as np
 from lidarcfg.config.models import Vec3
 from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array, angles, inverse, pose
-from lidarcfg.io.ros_names import BASE_LINK
 
+BASE_LINK = "base_link"  # REP-105's name for the vehicle frame
 UNIT = 1e-3  # the length of a quaternion differs by at most that from 1
 NAMED = 12  # frames that an error names, at most
 
