@@ -39,7 +39,7 @@ def vehicles() -> dict[str, Path]:
 
 
 def write_template(
-    kind: str, path: Path, vehicle: str | None = None, on_warning: Callable[[str], None] = str
+    kind: str, path: Path, vehicle: str | None = None, on_warning: Callable[[str], None] = lambda _: None
 ) -> list[Path]:
     """Write one of the `KINDS` of files to start from. Returns what was written.
 
@@ -87,7 +87,8 @@ def _body(file: Path) -> TemplateBody:
     import numpy as np
 
     from lidarcfg.geometry import pose, transform
-    from lidarcfg.world.mesh_frame import likely_rpy_deg, likely_scale
+    from lidarcfg.world.gltf import SUFFIXES as GLTF
+    from lidarcfg.world.mesh_frame import gltf_rpy_deg, likely_rpy_deg, likely_scale
     from lidarcfg.world.meshes import read_mesh
     from lidarcfg.world.robot_body import robot_body
     from lidarcfg.world.solids import merge_vertices, open_edges
@@ -103,7 +104,8 @@ def _body(file: Path) -> TemplateBody:
             keys = (f"without: [{', '.join(map(inline, robot.without))}]",) if robot.without else ()
         else:
             vertices, triangles = read_mesh(file)
-            scale, rpy_deg = likely_scale(np.ptp(vertices, axis=0)), likely_rpy_deg((vertices, triangles))
+            turn = gltf_rpy_deg if file.suffix.lower() in GLTF else likely_rpy_deg
+            scale, rpy_deg = likely_scale(np.ptp(vertices, axis=0)), turn((vertices, triangles))
             vertices_m = transform(pose((0, 0, 0), np.radians(rpy_deg)), scale * vertices)
             keys, looks = _frame_keys(scale, rpy_deg)
     except SceneError as error:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from lidarcfg.clouds.cloud import PointCloud, load_cloud, save_clouds
 from lidarcfg.config.kinds import YAML_SUFFIXES
+from lidarcfg.config.models import Vec3
 from lidarcfg.errors import ConfigError, ConversionError
 from lidarcfg.files import replacing, replacing_folder
 from lidarcfg.io.bag_reader import SUFFIXES, is_bag
@@ -194,17 +195,24 @@ def save_self_filter(source: Path, output: Path, name: str, vehicle: Path | None
     return "1 box" if name == "crop-box" else f"{len(rig.mounts):,} sensors"
 
 
-def import_rig(source: Path, output: Path, models: Mapping[str, str], scene: str | None, on_warning: OnWarning) -> str:
+def import_rig(
+    source: Path,
+    output: Path,
+    models: Mapping[str, str],
+    origins_m: Mapping[str, Vec3],
+    scene: str | None,
+    on_warning: OnWarning,
+) -> str:
     """Write the rig of a kit, whole or not at all, and return what it holds.
 
-    `models` says what the kit's frames are, as `rig_of_kit` has it; `scene` which of nuScenes'. `on_warning` gets what
-    was guessed and what was left out. Raises LidarcfgError.
+    `models` and `origins_m` are of the kit's frames, as `rig_of_kit` has them; `scene` is which of nuScenes'.
+    `on_warning` gets what was guessed and what was left out. Raises LidarcfgError.
     """
     from lidarcfg.io.rig_importers.importer import read_kit
     from lidarcfg.io.rig_importers.sensor_kit import rig_of_kit
     from lidarcfg.world.vehicle import check_outside, rig_vehicle
 
-    rig = rig_of_kit(read_kit(source, models, scene), models, on_warning)
+    rig = rig_of_kit(read_kit(source, models, scene), models, on_warning, origins_m)
     body = rig_vehicle(rig)
     if body:
         try:

@@ -34,6 +34,11 @@ class Pose:
         """(4, 4)."""
         return pose(self.position_m, self.rpy_rad)
 
+    def moved(self, by_m: Vec3) -> "Pose":
+        """The pose of a frame that is moved along its own axes."""
+        x, y, z = (self.matrix @ (*by_m, 1.0))[:3].tolist()
+        return Pose((x, y, z), self.rpy_rad)
+
 
 @dataclass(frozen=True)
 class Joint:

@@ -10,11 +10,12 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.errors import ConversionError, SceneError
-from lidarcfg.geometry import transform
+from lidarcfg.geometry import Array, transform
 from lidarcfg.world.frame_tree import listed
 from lidarcfg.world.mesh_source import Mesh
 from lidarcfg.world.meshes import box_mesh, cylinder_mesh, join_meshes, read_mesh, sphere_mesh
@@ -26,6 +27,7 @@ LEVEL_M = 0.02  # from the ground, which is the vehicle frame's z = 0 elsewhere
 TRIANGLES_MAX = 10_000_000
 SHAPES = ("box", "cylinder", "sphere", "mesh")
 ONES = (1.0, 1.0, 1.0)
+UNSAID: dict[str, Any] = {"name": "shape", "reflectivity": 0}  # of a shape: its body's counts
 PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
 VARIABLES = {"ROS_PACKAGE_PATH": "", "AMENT_PREFIX_PATH": "share"}  # of ROS, and the folder below with packages
 
@@ -60,6 +62,8 @@ def _body(robot: Robot, without: Sequence[str] | None) -> RobotBody:
     kept = tuple(name for name in shaped if name not in left_out)
     dropped = tuple(name for name in shaped if name in left_out)
     if not kept:
+        if not robot.links:
+            raise SceneError(f"{robot.path}: has no link; a robot has at least one")
         only = f" but of {listed(dropped)}, which are left out" if dropped else ""
         raise SceneError(f"{robot.path}: has no shapes{only}; a body needs a visual or a collision with a geometry")
     known: dict[Path, Mesh] = {}
@@ -85,10 +89,15 @@ def body_notes(body: RobotBody) -> list[str]:
     notes = []
     if body.without:
         notes.append(f"left out of the body, as LiDARs: {', '.join(body.without)}")
-    lowest_m = float(body.mesh[0][:, 2].min())
-    if abs(lowest_m) > LEVEL_M:
-        notes.append(f"the body's lowest point, where the ground is, is at z = {lowest_m:.3f} m of {body.base}")
-    return notes
+    return notes + ground_notes(body.mesh[0])
+
+
+def ground_notes(vertices_m: Array) -> list[str]:
+    """What is said where the ground is not at z = 0 of the vehicle frame, by the lowest of a body's vertices (V, 3)."""
+    lowest_m = float(vertices_m[:, 2].min())
+    if abs(lowest_m) <= LEVEL_M:
+        return []
+    return [f"its lowest point is at z = {lowest_m:.3f} m: the ground is there, though a scene's is mostly at 0"]
 
 
 def shaped_links(robot: Robot) -> tuple[str, ...]:
@@ -114,17 +123,16 @@ def _mesh(where: str, path: Path, shape: Element, known: dict[Path, Mesh]) -> Me
     element = found[0]
     if element.tag == "mesh":
         return _scaled(where, path, element, known)
-    shape_keys = {"name": "shape", "reflectivity": 0}
     if element.tag == "box":
         size_m = vector(where, element, "size", ZEROS)
         _check_sizes(where, element, "size", size_m)
-        return box_mesh(Box(**shape_keys, center_m=ZEROS, size_m=size_m))
+        return box_mesh(Box(**UNSAID, center_m=ZEROS, size_m=size_m))
     radius_m = _length(where, element, "radius")
     if element.tag == "sphere":
-        return sphere_mesh(Sphere(**shape_keys, center_m=ZEROS, radius_m=radius_m), TOLERANCE_M)
+        return sphere_mesh(Sphere(**UNSAID, center_m=ZEROS, radius_m=radius_m), TOLERANCE_M)
     height_m = _length(where, element, "length")
     base_m = 0.0, 0.0, -height_m / 2
-    return cylinder_mesh(Cylinder(**shape_keys, base_m=base_m, radius_m=radius_m, height_m=height_m), TOLERANCE_M)
+    return cylinder_mesh(Cylinder(**UNSAID, base_m=base_m, radius_m=radius_m, height_m=height_m), TOLERANCE_M)
 
 
 def _length(where: str, element: Element, key: str) -> float:

@@ -3,7 +3,8 @@
 import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -16,17 +17,18 @@ from lidarcfg.config.document import Key
 from lidarcfg.config.kinds import OTHERS
 from lidarcfg.config.models import Model, Position, Section, error_at, load, validation_error
 from lidarcfg.core import world
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.footprint import Footprint
-from lidarcfg.world.mesh_frame import axes_warnings, unit_warnings
+from lidarcfg.world.gltf import SUFFIXES as GLTF
+from lidarcfg.world.mesh_frame import axes_warnings, gltf_note, gltf_rpy_deg, unit_warnings
 from lidarcfg.world.mesh_source import Triangles
-from lidarcfg.world.meshes import Mesh
+from lidarcfg.world.meshes import Mesh, read_mesh
 from lidarcfg.world.robot import read_robot
-from lidarcfg.world.robot_body import shaped_links
+from lidarcfg.world.robot_body import ground_notes, shaped_links
 from lidarcfg.world.scene import Scene, build_scene, is_robot
 from lidarcfg.world.scene_file import KINDS, Box, Cylinder, MeshFile, Plane, SceneFile, SceneObject, Sphere, check_names
 from lidarcfg.world.solids import (
@@ -301,7 +303,16 @@ def load_vehicle(path: str | Path) -> Vehicle:
     path = example(path)
     if path.suffix in (".yaml", ".yml"):
         return vehicle(load(path, VehicleFile), path, ())
-    return vehicle(VehicleFile(meshes=(BodyMesh(name="body", file=path.name),)), path)
+    body = BodyMesh(name="body", file=path.name)
+    notes: list[str] = []
+    if path.suffix.lower() in GLTF:
+        with suppress(SceneError):  # which is told where the mesh is made
+            body = body.model_copy(update={"rpy_deg": gltf_rpy_deg(read_mesh(path))})
+            notes.append(f"{path}: {gltf_note(body.rpy_deg)}")
+    made = vehicle(VehicleFile(meshes=(body,)), path)
+    if is_robot(body):
+        notes += [f"{path}: {note}" for note in ground_notes(made.scene.vertices_m)]
+    return replace(made, warnings=(*notes, *made.warnings))
 
 
 def rig_vehicle(rig: Rig) -> Vehicle | None:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from lidarcfg.config.models import COORDINATE_MAX_M, NAME_MAX, Section
+from lidarcfg.config.models import COORDINATE_MAX_M, NAME_MAX, Section, Vec3
 from lidarcfg.errors import ConversionError
 from lidarcfg.sensors.lidar_names import guessed_model, is_lidar, is_other
 from lidarcfg.sensors.rig import MOUNT_NAME, RETURN_MODE, RPM, Mount, Rig, default_host, ports
@@ -15,6 +15,7 @@ from lidarcfg.world.frame_tree import BASE_LINK, FrameTree, Pose, listed
 LEAVE_OUT = "none"  # in place of a model: the frame is no LiDAR of the rig
 DRIVER_FRAME = "os_lidar"  # below os_sensor, which is the frame of an Ouster's points here
 SENSOR_FRAME = "os_sensor"
+NOWHERE: Mapping[str, Vec3] = {}
 HOUSING = "_base_link"  # ends the names of frames at the base of a housing
 
 
@@ -97,19 +98,27 @@ def _tops(tree: FrameTree, names: tuple[str, ...]) -> str:
     return listed(tuple(dict.fromkeys(tree.above(one)[-1] if tree.above(one) else one for one in names)))
 
 
-def rig_of_kit(kit: SensorKit, models: Mapping[str, str], on_warning: Callable[[str], None]) -> Rig:
+def rig_of_kit(
+    kit: SensorKit,
+    models: Mapping[str, str],
+    on_warning: Callable[[str], None],
+    origins_m: Mapping[str, Vec3] = NOWHERE,
+) -> Rig:
     """The rig of a kit's LiDARs.
 
     `models` says what they are, by frame: a model, a sensor's file, or none; under the name "" that of all others.
+    `origins_m` says where their beams start, by frame and in that; under "" where those of all other housings do.
     `on_warning` gets what was guessed and what the rig cannot hold. Raises ConversionError, ConfigError.
     """
     known = kit.candidates or tuple(frame.name for frame in kit.frames)
-    for name in models:
-        if name and name not in known:
-            raise ConversionError(f"{kit.where}: --model {name}: {_unknown(name, known)}")
+    for option, names_given in (("--model", models), ("--origin", origins_m)):
+        for name in names_given:
+            if name and name not in known:
+                raise ConversionError(f"{kit.where}: {option} {name}: {_unknown(name, known)}")
     told = list(kit.notes)
     guesses: list[str] = []
     unknown: list[str] = []
+    housings: list[str] = []
     mounts: list[Mount] = []
     names: dict[str, str] = {}
     left_out = list(kit.others)
@@ -128,6 +137,11 @@ def rig_of_kit(kit: SensorKit, models: Mapping[str, str], on_warning: Callable[[
             continue
         sensor = load_sensor(model) if model else custom_sensor(frame.elevation_deg)
         whole = model if model is None or model in catalogue() else os.path.realpath(model)
+        origin_m = origins_m.get(frame.name, origins_m.get("") if frame.name.endswith(HOUSING) else None)
+        if origin_m:
+            frame = replace(frame, pose=frame.pose.moved(origin_m))
+        elif frame.name.endswith(HOUSING):
+            housings.append(frame.name)
         mounts.append(_mount(kit, len(mounts), frame, sensor, whole, names))
     if unknown:
         what = f"no name says the model of {listed(tuple(unknown))}"
@@ -138,8 +152,9 @@ def rig_of_kit(kit: SensorKit, models: Mapping[str, str], on_warning: Callable[[
         raise ConversionError(f"{kit.where}: has no LiDAR by its frames' names; --model NAME=MODEL says which; {found}")
     if guesses:
         told.append(f"taken by name: {', '.join(guesses)}; --model NAME=MODEL says otherwise")
-    if housings := [mount.name for mount in mounts if mount.name.endswith(HOUSING)]:
-        told.append(f"{', '.join(housings)}: by the name the base of the housing; its beams start above that")
+    if housings:
+        what = "by the name the base of the housing; its beams start above that: --origin NAME=X,Y,Z says where"
+        told.append(f"{', '.join(housings)}: {what}")
     if left_out:
         told.append(f"a rig has LiDARs only; left out: {', '.join(left_out)}")
     for text in told:
