@@ -173,7 +173,7 @@ def _origins_m(origins: tuple[str, ...]) -> dict[str, Vec3]:
             x, y, z = (float(value) for value in values.split(","))
         except ValueError:
             x = y = z = math.nan
-        if name in found or (equals and not name) or not max(abs(x), abs(y), abs(z)) <= ORIGIN_MAX_M:
+        if name in found or (equals and not name) or not all(abs(value) <= ORIGIN_MAX_M for value in (x, y, z)):
             what = f"{text!r} is not NAME=X,Y,Z in metres, up to {ORIGIN_MAX_M:g}, once for each NAME"
             raise click.BadParameter(what, param_hint="--origin")
         found[name] = x, y, z

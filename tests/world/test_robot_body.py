@@ -114,6 +114,37 @@ def test_meshes_of_any_format_are_scaled_and_mirrored(tmp_path, suffix):
     assert trimesh.Trimesh(vertices, triangles).volume == pytest.approx(2 * 3 * 0.5 / 6)
 
 
+DAE = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="0.01" name="centimeter"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh><source id="p">
+<float_array id="pa" count="12">0 0 0 1 0 0 0 1 0 0 0 1</float_array><technique_common>
+<accessor source="#pa" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor>
+</technique_common></source><vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 1 3 0 3 2 1 2 3</p></triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node id="n"><translate>10 0 0</translate><scale>2 3 4</scale>
+<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>
+"""
+
+
+def test_a_collada_mesh_is_in_metres_and_its_nodes_in_their_places(tmp_path):
+    """A tetrahedron in centimetres, twice, three and four times as large, moved by 10; then mirrored; by hand."""
+    pytest.importorskip("collada")
+    (tmp_path / "part.dae").write_text(DAE)
+    vertices, triangles = robot_body(written(tmp_path, '<mesh filename="part.dae" scale="1 -1 1"/>')).mesh
+    np.testing.assert_allclose(
+        (vertices.min(axis=0), vertices.max(axis=0)), ((0.1, -0.03, 0), (0.12, 0, 0.04)), atol=1e-9
+    )
+    assert trimesh.Trimesh(vertices, triangles).volume == pytest.approx(2 * 3 * 4 / 6 * 1e-6)
+    for wrong in (DAE[:900], "<COLLADA/>", DAE.replace("0 2 1 0 1 3", "0 2 9 0 1 3"), DAE.replace("#g", "#h"), ""):
+        (tmp_path / "part.dae").write_text(wrong)
+        with pytest.raises(
+            SceneError, match=r"robot.urdf: link 'base_link': .*part.dae: (not a whole Collada file|no tri)"
+        ):
+            robot_body(tmp_path / "robot.urdf")
+
+
 @pytest.mark.parametrize(
     ("urdf", "mesh", "filename", "variable"),
     [
