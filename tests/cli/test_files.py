@@ -457,7 +457,7 @@ def test_cuboid_sizes_that_are_proposed_are_round_and_divide(length, edge, sizes
 
 
 def test_maps_that_are_no_meshes_are_refused_by_name(tmp_path):
-    for name in ("bus.step", "bus.dae"):
+    for name in ("bus.step", "bus.blend"):
         (tmp_path / name).write_text("x")
         with pytest.raises(SceneError, match=rf"{name}: a .*; export (a mesh of it, .*STL|the mesh as .*STL)"):
             read_mesh(tmp_path / name)
