@@ -115,8 +115,9 @@ def read_mesh(path: Path) -> Mesh:
         raise SceneError(f"{path}: {NO_MESHES[path.suffix.lower()]}")
     if path.suffix.lower() in SUFFIXES:
         check_nodes(path)
-    own = {".ply": _ply_mesh, ".dae": _collada_mesh}.get(path.suffix.lower())
-    plain = own(path) if own else None
+    plain = _ply_mesh(path) if path.suffix.lower() == ".ply" else None
+    if path.suffix.lower() == ".dae":
+        plain = _collada_mesh(path)
     if plain:
         check_mesh(str(path), plain)
         return plain
