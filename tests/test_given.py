@@ -58,7 +58,7 @@ def test_a_study_s_vehicle_may_be_a_mesh():
 @pytest.mark.parametrize(
     ("call", "what"),
     [
-        (lambda: lidarcfg.load_study(3), "a int is no study; allowed: the path of its file, a dict"),
+        (lambda: lidarcfg.load_study(3), "an int is no study; allowed: the path of its file, a dict"),
         (lambda: lidarcfg.evaluate(lidarcfg.load_rig(RIG), RIG), "a Rig is no study; allowed"),
         (lambda: lidarcfg.evaluate(STUDY, lidarcfg.load_study(STUDY)), "a Study is no rig; allowed"),
         (lambda: lidarcfg.optimize([1]), "a list is no study; allowed"),

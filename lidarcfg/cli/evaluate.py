@@ -1,7 +1,6 @@
 """lidarcfg evaluate: how well a rig sees."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,7 +80,7 @@ def evaluate(
 
         found = evaluation.evaluate(loaded, mounted, tolerance, on_progress=on_fraction)
         shown = report_inputs(loaded, mounted, found) if output or beside else None
-        found = shown.evaluation if shown else replace(found, robustness=evaluation.robustness(loaded, mounted))
+        found = shown.evaluation if shown else evaluation.with_failures(loaded, mounted, found)
         if output and shown:
             commands = Commands(command_line(), command_line())
             save_evaluation(loaded, mounted, shown, output, commands, beside)
@@ -115,7 +114,8 @@ def check_rig(study: "Study", path: Path, rig: "Rig") -> None:
     from lidarcfg.study.checks import rig_warnings
     from lidarcfg.world.vehicle import check_outside
 
-    for message in rig_warnings(path, study.requirements.site.ground_m if study.requirements else 0.0):
+    ground_m = study.requirements.site.ground_m if study.requirements else 0.0
+    for message in rig_warnings(path, ground_m, study.vehicle):
         warn(message)
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts, path)

@@ -109,12 +109,15 @@ def export(**given: Any) -> None:
         on_fraction(0.0, f"reading {options.rig} and {options.scene}")
         from lidarcfg.capture.manifest import manifest_path
         from lidarcfg.files import check_replaceable
+        from lidarcfg.study.checks import rig_warnings
         from lidarcfg.world.vehicle import check_outside
 
         drive = options.inputs.load()
         if drive.vehicle:
             check_outside(drive.vehicle, drive.rig.mounts, options.rig)
     warn_of(drive.vehicle)
+    for message in rig_warnings(options.rig, vehicle=drive.vehicle):
+        warn(message)
     if options.return_mode:
         _warn_of_thin_beams(drive.rig)
     for path in options.paths(drive.rig):  # not after hours

@@ -6,6 +6,8 @@ import click
 import cloup
 
 from lidarcfg.cli.options import FILE, quiet_option, warn
+from lidarcfg.cli.progress import progress
+from lidarcfg.errors import one_line
 
 KINDS = ("study", "rig", "scene", "sensor")
 
@@ -26,16 +28,30 @@ KINDS = ("study", "rig", "scene", "sensor")
     help="For a study: a body from the package (bus, delivery-robot, sedan, shuttle, truck), a mesh file of your own, "
     "or a URDF, whose sensors become a rig.",
 )
+@cloup.option(
+    "--triangles",
+    type=click.IntRange(min=100, max=10_000_000),
+    metavar="N",
+    help="Write a mesh of no more triangles than this beside the study, in place of --vehicle's.",
+)
 @quiet_option
-def init(kind: str, output: Path, vehicle: str | None, quiet: bool) -> None:
+def init(kind: str, output: Path, vehicle: str | None, triangles: int | None, quiet: bool) -> None:
     """Write a commented file to start from.
 
     The other commands accept the file as it is. Optional keys are in it as comments.
     """
-    from lidarcfg.cli.templates import write_template
+    from lidarcfg.cli.templates import write_simplified, write_template
 
     if vehicle and kind != "study":
         raise click.UsageError(f"--vehicle is for a study, not for a {kind}")
+    if triangles and not (vehicle and Path(vehicle).suffix):
+        raise click.UsageError("--triangles is for a mesh file of your own; name it with --vehicle")
+    if triangles and vehicle:
+        with progress(quiet, keep=False) as on_progress:
+            body, said = write_simplified(output, Path(vehicle), triangles, on_progress)
+        vehicle = str(body)
+        if not quiet:
+            click.echo(one_line(f"{body}: {said}"))
     written = write_template(kind, output, vehicle, (lambda _: None) if quiet else warn)
     if not quiet:
         click.echo(f"written: {' '.join(map(str, written))}")

@@ -350,14 +350,15 @@ def _find_cheapest(study: "Study", options: Options) -> SearchEnd:
         placed = found.placement
         shown = report_inputs(chosen, placed.rig, placed.evaluation, placed.midpoint_max_vsr_m)
         commands = Commands(command_line(), options.again(study, "--evaluations", max(found.evaluations, 1)))
+        is_open = not (found.meets or found.cannot)
         go_on = shlex.join(("lidarcfg", "optimize", str(options.study), "--resume", str(folder)))
-        save_placement(chosen, placed, shown, folder, commands, choice=choice_part(found, go_on))
+        save_placement(chosen, placed, shown, folder, commands, choice=choice_part(found, go_on if is_open else None))
         save_combinations(found, folder)
         save_log(study, found.log, folder)
     if not options.quiet:
         print_placement(chosen, placed, shown.evaluation)
         print_cheapest(found)
-        if not found.meets:
+        if is_open:
             click.echo(f"to go on: {go_on}")
         click.echo(f"written to {folder}/: report.html rig.yaml result.json {COMBINATIONS}")
     return SearchEnd("the best rig so far" if found.interrupted else "", found.meets)
@@ -385,7 +386,8 @@ def _find_front(study: "Study", options: Options) -> SearchEnd:
     _take_interrupt(found.interrupted)
     untried = sum(not one.evaluations for one in found.candidates)
     if untried:
-        warn(f"the budget was spent before {untried} of {len(found.candidates)} combinations were tried")
+        go_on = shlex.join(("lidarcfg", "optimize", str(options.study), "--resume", str(folder)))
+        warn(f"{untried} of {len(found.candidates)} combinations were not tried within the budget; to go on: {go_on}")
     commands = Commands(command_line(), options.again(study, "--evaluations", max(found.evaluations, 1)))
     with progress(options.quiet) as on_progress:
 
@@ -402,7 +404,6 @@ def _find_front(study: "Study", options: Options) -> SearchEnd:
 def _front_line(run: "FrontRun") -> str:
     """One line on the state of the search."""
     on_front = run.on_front()
-    rate = run.evaluations / max(run.seconds, 1e-9)
     tried = sum(one.evaluations > 0 for one in run.searches)
-    state = f"{sum(on_front)} on the front, {tried} of {len(on_front)} combinations tried"
-    return f"{state}  {rate:,.0f} evaluations/s"
+    state = f"{tried} of {len(on_front)} combinations tried, {sum(on_front)} on the front"
+    return f"{state}; {run.evaluations:,} rigs evaluated"

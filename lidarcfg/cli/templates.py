@@ -11,13 +11,14 @@ from jinja2 import Environment, StrictUndefined
 from lidarcfg.config.document import inline
 from lidarcfg.config.models import Section, Vec3
 from lidarcfg.errors import ConfigError, ConversionError, SceneError
-from lidarcfg.files import replacing, shipped
+from lidarcfg.files import example, replacing, shipped
 from lidarcfg.sensors.rig import Rig, save_rig
 from lidarcfg.world.robot import SUFFIXES as ROBOTS
 
 KINDS = ("study", "rig", "scene", "sensor")
 CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
-LEVEL_M = 0.02  # above the lowest point of a body, the ground may be at z = 0
+SUNK_M = 0.05  # how far a body on the ground may be below it, by its mesh
+AS_IS: Vec3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -62,15 +63,15 @@ def write_template(
     text = template.render(
         file=path,
         body=named and inline(os.path.relpath(named, path.parent)),
-        body_keys="".join(f"{key}, " for key in body.keys),
+        body_keys="".join(f", {key}" for key in body.keys),
         closed=body.closed,
         looks=" and ".join(body.looks),
         rig=rig and rig_path,
         **_study(body.low_m, body.high_m),
     )
     for new in (path, *copied, *((rig_path,) if rig else ())):
-        if new.exists() and not (new in copied and new.read_bytes() == copied[new].read_bytes()):
-            raise ConfigError(f"{new}: exists already; name another file, or remove it")
+        if not (new in copied and new.exists() and new.read_bytes() == copied[new].read_bytes()):
+            _check_new(new)
     for new, old in copied.items():
         if not new.exists():
             with replacing(new, "wb") as out:
@@ -82,13 +83,50 @@ def write_template(
     return [path, *copied, *((rig_path,) if rig else ())]
 
 
+def write_simplified(
+    study: Path, body: Path, triangles: int, on_progress: Callable[[float, str], None]
+) -> tuple[Path, str]:
+    """Write a mesh of no more triangles beside a study that is to be written. Returns its file, and what was done.
+
+    Raises ConfigError if there is the study or the file already, or if the mesh cannot be simplified so far.
+    """
+    from lidarcfg.world.mesh_frame import likely_scale
+    from lidarcfg.world.meshes import ply_file, read_mesh
+    from lidarcfg.world.simplify import SAMPLES, greatest_distance, simplify
+
+    body = example(body)
+    path = study.parent / f"{body.stem}-{triangles}.ply"
+    _check_new(study)
+    _check_new(path)
+    try:
+        on_progress(0.0, f"reading {body}")
+        mesh = read_mesh(body)
+        on_progress(0.1, f"simplifying {len(mesh[1]):,} triangles to {triangles:,}")
+        fewer = simplify(mesh, triangles)
+    except SceneError as error:
+        what = str(error)
+        raise ConfigError(what if what.startswith(str(body)) else f"{body}: {what}") from None
+    on_progress(0.9, "measuring how far the surfaces are apart")
+    apart_mm = 1000 * likely_scale(mesh[0].max(axis=0) - mesh[0].min(axis=0)) * greatest_distance(mesh, fewer)
+    with replacing(path, "wb") as out:
+        out.write(ply_file(fewer))
+    on_progress(1.0, f"written {path}")
+    said = f"{len(mesh[1]):,} triangles are now {len(fewer[1]):,}, at most {apart_mm:.2g} mm from their surface"
+    return path, f"{said}, by {SAMPLES:,} points of each"
+
+
+def _check_new(path: Path) -> None:
+    if path.exists():
+        raise ConfigError(f"{path}: exists already; name another file, or remove it")
+
+
 def _body(file: Path) -> TemplateBody:
-    """The body in a file, with the scale and rotation that bring a mesh into the vehicle frame, by its looks."""
+    """The body in a file, with the scale, rotation and shift that bring a mesh into the vehicle frame, by its looks."""
     import numpy as np
 
     from lidarcfg.geometry import pose, transform
     from lidarcfg.world.gltf import SUFFIXES as GLTF
-    from lidarcfg.world.mesh_frame import gltf_rpy_deg, likely_rpy_deg, likely_scale
+    from lidarcfg.world.mesh_frame import gltf_rpy_deg, likely_position_m, likely_rpy_deg, likely_scale
     from lidarcfg.world.meshes import read_mesh
     from lidarcfg.world.robot_body import robot_body
     from lidarcfg.world.solids import merge_vertices, open_edges
@@ -107,7 +145,9 @@ def _body(file: Path) -> TemplateBody:
             turn = gltf_rpy_deg if file.suffix.lower() in GLTF else likely_rpy_deg
             scale, rpy_deg = likely_scale(np.ptp(vertices, axis=0)), turn((vertices, triangles))
             vertices_m = transform(pose((0, 0, 0), np.radians(rpy_deg)), scale * vertices)
-            keys, looks = _frame_keys(scale, rpy_deg)
+            position_m = likely_position_m((vertices_m, triangles))
+            vertices_m += position_m
+            keys, looks = _frame_keys(scale, rpy_deg, position_m)
     except SceneError as error:
         raise ConfigError(str(error)) from None
     closed = not len(open_edges(merge_vertices((vertices_m, triangles))))
@@ -133,7 +173,7 @@ def _rig(file: Path, named: Path, on_warning: Callable[[str], None]) -> Rig | No
         return None
 
 
-def _frame_keys(scale: float, rpy_deg: Vec3) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _frame_keys(scale: float, rpy_deg: Vec3, position_m: Vec3) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The keys that bring a mesh into the vehicle frame, and what is said of them."""
     from lidarcfg.world.mesh_frame import TURNS, UNITS
 
@@ -144,6 +184,9 @@ def _frame_keys(scale: float, rpy_deg: Vec3) -> tuple[tuple[str, ...], tuple[str
     if rpy_deg in TURNS:
         keys.append(f"rpy_deg: [{', '.join(f'{angle:g}' for angle in rpy_deg)}]")
         looks.append(f"in its file {TURNS[rpy_deg]}")
+    if position_m != AS_IS:
+        keys.append(f"position_m: [{', '.join(f'{value:g}' for value in position_m)}]")
+        looks.append(f"in its file {math.hypot(*position_m):.0f} m away")
     return tuple(keys), tuple(looks)
 
 
@@ -154,7 +197,7 @@ def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[fl
     side = (high[1] - low[1]) / 2
     length = high[0] - low[0]
     middle_m = (low[0] + high[0]) / 2
-    ground_m = 0.0 if low[2] > -LEVEL_M else low[2]
+    ground_m = 0.0 if low[2] > -SUNK_M else low[2]
     floor_m = round(ground_m, 2)
     top_m = floor_m + max(math.ceil(high[2] - floor_m), 4)
     boxes = {

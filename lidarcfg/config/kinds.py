@@ -17,6 +17,8 @@ DISCRIMINATING_KEYS = {  # keys that only one kind has; the first kind that matc
     "vehicle": {"allow_inside"},
 }
 
+LISTS = ("requirements", "faults")  # kinds of files that are lists
+
 _POINTS = "points, no YAML; a scene names them under surfels, with a radius"
 _MESH = "a mesh, no YAML; a scene or a vehicle names it under meshes"
 OTHERS = {  # by suffix, what a file of another program is, and where it belongs
@@ -30,6 +32,17 @@ OTHERS = {  # by suffix, what a file of another program is, and where it belongs
 }
 
 
+def a_file_of(kind: str) -> str:
+    """A kind of file with its article: a rig, a file of faults."""
+    return f"a file of {kind}" if kind in LISTS else f"a {kind}"
+
+
+def a_thing(value: object) -> str:
+    """The class of a value of Python's with its article."""
+    name = type(value).__name__
+    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
+
+
 def kind_of(values: object) -> str | None:
     """The kind of a file with these values; None if no kind fits."""
     if not isinstance(values, Mapping):
@@ -39,7 +52,7 @@ def kind_of(values: object) -> str | None:
             return kind
     if "sensors" in values:
         return _sensors(values["sensors"])
-    for kind in ("requirements", "faults"):  # a study, and a rig, may have them, too
+    for kind in LISTS:  # a study, and a rig, may have them, too
         if kind in values:
             return kind
     if OBJECTS & values.keys():  # the objects of a scene must say what they reflect, and a scene its name

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, Serializatio
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from lidarcfg.config.document import Document, Key, document, key_text, read_text
-from lidarcfg.config.kinds import OTHERS, kind_of
+from lidarcfg.config.kinds import OTHERS, a_file_of, a_thing, kind_of
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.files import example
 
@@ -23,6 +23,7 @@ Positive = Annotated[float, Field(gt=0)]
 Weight = Annotated[float, Field(ge=1e-9, le=1e9)]
 NAME_MAX = 200  # characters: a longer name fits neither into a picture nor into a file's name
 Name = Annotated[str, Field(min_length=1, max_length=NAME_MAX)]
+SHOWN_MAX = 60  # characters of a wrong value
 COORDINATE_MAX_M = 1e8  # metres; UTM reaches 1e7
 ANGLE_MAX = 1e8  # radians or degrees
 Metres = Annotated[float, Field(ge=-COORDINATE_MAX_M, le=COORDINATE_MAX_M)]
@@ -80,8 +81,8 @@ ERROR_MESSAGES = {  # by pydantic's error type, with the limits of its context
     "less_than": "{got} is too large; allowed: below {lt}",
     "less_than_equal": "{got} is too large; allowed: at most {le}",
     "multiple_of": "{got} is not allowed; allowed: multiples of {multiple_of}",
-    "string_too_short": "{got} is too short; allowed: at least {min_length} characters",
-    "string_too_long": "{got}… is too long; allowed: at most {max_length} characters",
+    "string_too_short": "{got} is too short; allowed: at least {min_length} character{s}",
+    "string_too_long": "{got} is too long; allowed: at most {max_length} characters",
     "string_pattern_mismatch": "{got} is not allowed; allowed: a text that matches {pattern}",
 }
 
@@ -160,7 +161,7 @@ def load_or_check(given: Given, model: type[M]) -> tuple[M, Path]:
     if isinstance(given, str | Path):
         path = example(given)
         return load(path, model), path
-    what = f"a {type(given).__name__} is no {model.kind}"
+    what = f"{a_thing(given)} is no {model.kind}"
     raise ConfigError(f"{what}; allowed: the path of its file, a dict with the file's keys, or what is loaded of them")
 
 
@@ -241,7 +242,7 @@ def checked(document: Document, model: type[M]) -> M:
     except ValidationError as error:
         found = kind_of(document.value)
         if model.kind and found and found != model.kind:
-            raise document.error((), f"this is a {found}; a {model.kind} belongs here") from None
+            raise document.error((), f"this is {a_file_of(found)}; {a_file_of(model.kind)} belongs here") from None
         raise _all_errors(document, error, model) from None
     except (OverflowError, RecursionError) as error:
         raise ConfigError(f"{document.name}:1:1: {error}") from None
@@ -291,20 +292,24 @@ def _message(item: Any, model: type[Model]) -> str:
         least = context.get("min_length")
         most = context.get("max_length")
         allowed = f"exactly {least}" if least == most else f"at least {least}" if least else f"at most {most}"
-        return f"has {context['actual_length']} values; allowed: {allowed}"
-    limits = {key: _shown(value) for key, value in context.items() if key != "expected"}
+        count = context["actual_length"]
+        return f"has {count} {'value' if count == 1 else 'values'}; allowed: {allowed}"
+    limits = {key: shown(value) for key, value in context.items() if key != "expected"}
+    plural = "s" * (context.get("min_length") != 1)
     return ERROR_MESSAGES.get(kind, "{got} is not allowed").format_map(
-        limits | {"expected": context.get("expected"), "got": _shown(item["input"])}
+        limits | {"expected": context.get("expected"), "got": shown(item["input"]), "s": plural}
     )
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """A value as YAML writes it; of a map or a list only its kind."""
     if isinstance(value, dict | tuple):
         return "a map" if isinstance(value, dict) else f"a list of {len(value)}"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
-    return format(value, ".15g") if isinstance(value, float) else repr(value)[:60]
+    if isinstance(value, str) and len(value) > SHOWN_MAX:
+        return f"{value[:SHOWN_MAX]!r}…"
+    return format(value, ".15g") if isinstance(value, float) else repr(value)[:SHOWN_MAX]
 
 
 def unknown_key(name: str, model: type[Model]) -> str:
@@ -328,8 +333,8 @@ def _model_at(model: type[Model], loc: Key) -> type[Model]:
     """The model at `loc` inside `model`, found by walking the annotations."""
     found: Any = model
     for part in loc:
-        if isinstance(part, str) and isinstance(found, type) and issubclass(found, Model):
-            found = found.model_fields[part].annotation
+        if isinstance(found, type) and issubclass(found, Model):  # else a place in a list, or one of several models
+            found = found.model_fields[part].annotation if part in found.model_fields else found
         found = next(nested_models(found), found)
     return found if isinstance(found, type) and issubclass(found, Model) else model
 

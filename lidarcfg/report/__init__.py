@@ -4,9 +4,9 @@ To read in this order: `inputs` computes what only a report needs, `text` shorte
 rig into words, `table` is the model of all tables, which `terminal` prints and `page` puts on pages, and `evaluation`
 has those of an evaluated rig. `key_figures` says what its main figures are called and which of several rigs has the
 best. `canvas` has the style of drawings; `plots` (PNG), `mounts`, `drawings`, `blind_spots` draw a part each; `misses`
-is what a report begins with: what rigs miss, side by side. `rig_report` is the report of one rig, `comparison` of
-several, `front` of price against objective, `cheapest` of the combinations searched for the cheapest rig; `repeat` is
-their last section. `results` writes the folder of a search, `search_log` what it goes on from, `sweep` the folder of
+is what rigs miss, side by side. `rig_report` is the report of one rig, which begins with its `overview`, `comparison`
+of several, `front` of price against objective, `cheapest` of the combinations searched for the cheapest rig; `repeat`
+is their last section. `results` writes the folder of a search, `search_log` what it goes on from, `sweep` the folder of
 many. A verdict is a table in `verdict` and a page in `verification`, with drawings from `evidence` and `scenario`.
 `printing` and `sensors` print on the terminal, `notebook` is what a notebook shows, and `summaries` says in one line
 what a file is.

@@ -11,7 +11,7 @@ from lidarcfg.report.rig_report import ChoicePart
 from lidarcfg.report.table import COUNT, NOTHING, PRICE, Cell, Column, Table, named
 from lidarcfg.report.terminal import print_table, terminal
 from lidarcfg.report.text import truncate
-from lidarcfg.search.cheapest import Cheapest, SearchedCombination
+from lidarcfg.search.cheapest import TOO_DEAR, Cheapest, SearchedCombination
 
 SHOWN = 20  # combinations on the terminal and in the report
 
@@ -25,8 +25,8 @@ def combinations_table(found: Cheapest, tried: Sequence[SearchedCombination]) ->
         Column("verdict"),
         Column("short by", ".0%", key="worst"),
         Column("shortfall", ".6g"),
-        Column("misses", key="missed"),
-        Column("rigs", COUNT),
+        Column("not met", key="missed"),
+        Column("rigs tried", COUNT, key="rigs"),
         Column("excluded"),
         Column("name"),
     ]
@@ -46,6 +46,7 @@ def combinations_table(found: Cheapest, tried: Sequence[SearchedCombination]) ->
         for one in tried
     ]
     caption = "Cheaper combinations, the closest first" if found.meets else "The combinations that come closest"
+    caption += "; short by: of what is demanded, at the worst place of the best rig; 100%: no returns there"
     return Table(caption, columns, rows)
 
 
@@ -77,17 +78,17 @@ def print_cheapest(found: Cheapest) -> None:
         console.print(f"and {more:,} more: see {COMBINATIONS}")
     first = next((one for one in found.tried if one.excluded), None)
     if first:
-        console.print(f"{counted(found.excluded, 'combination')} cannot meet all, such as {', '.join(_models(first))}:")
-        console.print(f"{first.excluded}; the others are in {COMBINATIONS}")
+        of_which = f"{counted(found.excluded, 'combination')} cannot meet all requirements"
+        console.print(f"{of_which}, such as {', '.join(_models(first))}: {_why(first)}; {COMBINATIONS} has the reasons")
 
 
-def choice_part(found: Cheapest, command: str) -> ChoicePart:
-    """The part of the report; `command` goes on with the search."""
+def choice_part(found: Cheapest, command: str | None) -> ChoicePart:
+    """The part of the report; `command` goes on with the search, if that may help."""
     return ChoicePart(
         answer=_answer(found),
         searched=f"{_searched(found)}. {COMBINATIONS} has all of them.",
         table=_shown_table(found),
-        again=None if found.meets else command,
+        again=command,
     )
 
 
@@ -101,6 +102,12 @@ def _answer(found: Cheapest) -> str:
     asked = found.combination
     if found.meets:
         return f"the cheapest rig found that meets all requirements: {asked.sensors}, for {price(asked.price)}"
+    if found.cannot:
+        cheapest = min(found.tried, key=lambda one: one.price)
+        what = (
+            f"the cheapest combination, {', '.join(_models(cheapest))} for {price(cheapest.price)}: {cheapest.excluded}"
+        )
+        return f"no rig can meet all requirements: {what}. Relax a requirement, or let other models be chosen"
     return f"no rig found meets all requirements; {asked.sensors}, for {price(asked.price)}, comes closest"
 
 
@@ -120,6 +127,11 @@ def _shown(found: Cheapest) -> list[SearchedCombination]:
 
 def _models(one: SearchedCombination) -> list[str]:
     return [models for models in one.models if models]
+
+
+def _why(one: SearchedCombination) -> str:
+    """Why no rig of a combination can meet all."""
+    return f"too dear, at {price(one.price)}" if one.excluded == TOO_DEAR else str(one.excluded)
 
 
 def _verdict(one: SearchedCombination) -> str:

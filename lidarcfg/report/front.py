@@ -18,6 +18,7 @@ from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, d
 from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price
 from lidarcfg.report.inputs import report_inputs
 from lidarcfg.report.key_figures import KeyFigure
+from lidarcfg.report.misses import percent
 from lidarcfg.report.page import PageSection, facts, figure, page
 from lidarcfg.report.plots import CUT_OFF, new_figure, save_figure
 from lidarcfg.report.repeat import repeat_section
@@ -66,11 +67,11 @@ def points_table(study: Study, found: Front) -> Table:
     columns = [
         Column("price", PRICE),
         Column("objective", ".6f"),
-        Column("misses", ".6f"),
+        Column("misses", ".2%"),
         Column("max VSR", ".6f", "m", "max_vsr_m"),
         *(Column(f"detection of {truncate(one.name)}", ".4f", key=("detection", one.name)) for one in study.detection),
         Column("sensors"),
-        Column("evaluations", COUNT),
+        Column("rigs tried", COUNT, key="evaluations"),
         Column("name"),
         Column("folder"),
     ]
@@ -83,7 +84,7 @@ def points_table(study: Study, found: Front) -> Table:
             [
                 point.combination.price,
                 point.placement.objective,
-                evaluation.misses and evaluation.misses.mean,
+                Cell(missed.mean, percent(missed.mean)) if (missed := evaluation.misses) else None,
                 evaluation.max_vsr_m,
                 *(evaluation.detection[one.name].rate for one in study.detection),
                 point.combination.sensors,
@@ -97,8 +98,11 @@ def points_table(study: Study, found: Front) -> Table:
 
 def _shown_points(study: Study, found: Front) -> Table:
     """The columns of the points that people read."""
-    missed = all(point.placement.evaluation.misses for point in found.points)
-    return points_table(study, found).without("name", *["misses"] * (not missed))
+    every = points_table(study, found)
+    if not all(point.placement.evaluation.misses for point in found.points):
+        return every.without("name", "misses")
+    paper = [column.name for column in every.columns if column.key == "max_vsr_m" or column.keys[0] == "detection"]
+    return every.without("name", *paper, *["objective"] * study.is_misses)
 
 
 def candidates_table(found: Front) -> Table:
@@ -122,7 +126,9 @@ def candidates_table(found: Front) -> Table:
         ]
         for one in found.candidates
     ]
-    return Table("All combinations; of those not on the front few rigs were evaluated.", columns, rows)
+    return Table(
+        "All combinations, as the search saw them; of those not on the front few rigs were evaluated.", columns, rows
+    )
 
 
 def print_front(study: Study, found: Front) -> None:
@@ -243,7 +249,9 @@ def front_page(study: Study, found: Front, values: dict[str, Any], commands: Com
 
 
 def _what(point: Point) -> str:
-    return f"{point.combination.sensors}: objective {point.placement.objective:.4f}"
+    missed = point.placement.evaluation.misses
+    told = f"misses {percent(missed.mean)}" if missed else f"objective {point.placement.objective:.4f}"
+    return f"{point.combination.sensors}: {told}"
 
 
 def _spent(found: Front) -> str:
@@ -321,7 +329,7 @@ def _draw_plot(axes: "Axes", study: Study, found: Front) -> None:
     right = max([*prices, *shown[:, 0].tolist()]) * 1.05
     axes.plot([*prices, right], [*best, best[-1]], drawstyle="steps-post", color=colour(0), zorder=2)
     axes.plot(prices, best, "o", color=colour(0), ms=6, label="front", zorder=3)
-    value = "max VSR (m)" if study.is_max_vsr else "objective"
+    value = "max VSR (m)" if study.is_max_vsr else "misses (share of places)" if study.is_misses else "objective"
     axes.set(xlabel="price", ylabel=value, xlim=(0, right), ylim=(0, None))
     axes.xaxis.set_major_formatter("{x:,.0f}" if right > 10 else "{x:g}")
     axes.grid(True)

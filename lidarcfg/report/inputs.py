@@ -15,7 +15,7 @@ from lidarcfg.requirements.verify import Verification, Verifier
 from lidarcfg.returns.post_visibility import PostPlaces, PostVisibility, post_visibility
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.detection import GapFit, distances_to, gap_fit
-from lidarcfg.study.evaluation import Evaluation, robustness
+from lidarcfg.study.evaluation import Evaluation, with_failures
 from lidarcfg.study.extrapolation import extrapolate
 from lidarcfg.study.mounting import lidars_at
 from lidarcfg.study.study import Study
@@ -137,7 +137,7 @@ def report_inputs(
         found = replace(found, extrapolated=extrapolate(study.region, rig_lidars(rig), LOOSE, study.visibility))
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, lidars_at(study.slots, study.space.midpoint), study.visibility)
-    found = replace(found, robustness=robustness(study, rig))
+    found = with_failures(study, rig, found)
     verified = None
     if study.requirements and found.verdict:
         verifier = found.verifier or Verifier(study.requirements)

@@ -59,20 +59,24 @@ def key_figures(
     midpoint_max_vsr_m: float | None = None,
 ) -> list[KeyFigure]:
     """The figures of an evaluated rig; those of its coverage, and the midpoint of the bounds, where they are known."""
+    max_vsr = max_vsr_figures(rig, found, midpoint_max_vsr_m)
+    posts = [figure for posts in found.posts for figure in _posts(posts)]
+    sight = list(_sight(found)) if study.visibility else []
     return [
         *_verdict(found),
         *_misses(found),
         _figure("sensors", COUNT, len(rig.mounts)),
         _figure("beams", COUNT, beams(rig)),
-        *(
-            one if has_cones(rig) else replace(one, detail="", is_main=False)
-            for one in _max_vsr(rig, found, midpoint_max_vsr_m)
-        ),
+        *(_beside_misses(one, found) if has_cones(rig) else replace(one, detail="", is_main=False) for one in max_vsr),
         *_detection(study, found),
-        *(figure for posts in found.posts for figure in _posts(posts)),
-        *(_sight(found) if study.visibility else []),
+        *(_beside_misses(one, found) for one in (*posts, *sight)),
         *(_coverage(coverage) if coverage else []),
     ]
+
+
+def _beside_misses(one: KeyFigure, found: Evaluation) -> KeyFigure:
+    """A figure that summaries have only where misses are not known."""
+    return replace(one, is_main=one.is_main and not found.misses)
 
 
 def _figure(
@@ -110,7 +114,7 @@ def _misses(found: Evaluation) -> Iterator[KeyFigure]:
             yield replace(one, value=Cell(one.value, percent(one.value)))
 
 
-def _max_vsr(rig: Rig, found: Evaluation, midpoint_m: float | None) -> Iterator[KeyFigure]:
+def max_vsr_figures(rig: Rig, found: Evaluation, midpoint_m: float | None) -> Iterator[KeyFigure]:
     """How large the gaps between beams are, the paper's measures."""
     worst = found.worst[0]
     largest = beams_alone(rig) or f"the paper's measure: the largest of {len(found.subspaces):,} subspaces"

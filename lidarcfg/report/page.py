@@ -35,10 +35,11 @@ def page(
     summary: Sequence[KeyFigure] = (),
     notes: Sequence[Part] = (),
     verdict: Markup | None = None,
+    is_head_a_page: bool = False,
 ) -> str:
-    """The page: the verdict, the summary with notes below it, then the sections."""
+    """The page: the verdict, the summary with notes below it, then the sections, in print on a new page if asked."""
     values = {"title": title, "about": about, "sections": sections, "summary": summary, "notes": notes}
-    return _environment().get_template("page.html").render(values, verdict=verdict)
+    return _environment().get_template("page.html").render(values, verdict=verdict, is_head_a_page=is_head_a_page)
 
 
 def fragment(parts: Iterable[Part]) -> Markup:
@@ -54,6 +55,11 @@ def facts(rows: FactRows) -> Markup:
 def figure(drawing: Markup | None, caption: str) -> Markup | None:
     """A drawing with its caption; None without a drawing."""
     return None if drawing is None else _part("figure", drawing, caption)
+
+
+def beside(table: Table | None, drawn: Markup | None) -> Markup:
+    """A table with a figure to its right; without a table the figure alone."""
+    return _part("beside", table, drawn)
 
 
 def code(text: str) -> Markup:

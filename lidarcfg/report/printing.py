@@ -2,9 +2,10 @@
 
 from lidarcfg.report.blind_spots import volumes_table
 from lidarcfg.report.describe import has_cones
-from lidarcfg.report.evaluation import detection_table, mounts_table, worst_table, zones_table
+from lidarcfg.report.evaluation import detection_table, worst_table, zones_table
 from lidarcfg.report.key_figures import figures_table, key_figures
 from lidarcfg.report.misses import misses_lines, misses_table, rigs_seen
+from lidarcfg.report.overview import rig_table
 from lidarcfg.report.rig_report import search_facts
 from lidarcfg.report.terminal import print_facts, print_table, terminal
 from lidarcfg.report.verdict import print_verdict
@@ -35,7 +36,7 @@ def print_evaluation(study: Study, rig: Rig, found: Evaluation, placement: Place
             console.print(line)
     if placement:
         print_facts(search_facts(study, placement))
-    print_table(mounts_table(rig).without("model", "beams", "elevation"))
+    print_table(rig_table(study, rig, found).without("model"))
     midpoint_m = placement.midpoint_max_vsr_m if placement else None
     print_table(figures_table(key_figures(study, rig, found, None, midpoint_m)))
     detection = detection_table(study, found)

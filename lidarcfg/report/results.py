@@ -46,6 +46,7 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "version": __version__,
         "solver": None,
         "misses": found.misses and found.misses.to_dict(),
+        "misses_without": found.misses_without,
         "detection": {name: detection.rate for name, detection in found.detection.items()},
         "detection_half_width": {name: detection.half_width for name, detection in found.detection.items()},
         "detection_returns": {

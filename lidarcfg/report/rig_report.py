@@ -27,13 +27,19 @@ from lidarcfg.report.evaluation import (
     detection_table,
     hiding_table,
     lost_table,
-    mounts_table,
     sensitivity_table,
     worst_table,
     zones_table,
 )
 from lidarcfg.report.inputs import ReportInputs
-from lidarcfg.report.key_figures import KeyFigure, extrapolated_figure, key_figures, summary
+from lidarcfg.report.key_figures import (
+    KeyFigure,
+    extrapolated_figure,
+    figures_table,
+    key_figures,
+    max_vsr_figures,
+    summary,
+)
 from lidarcfg.report.misses import (
     SeenBy,
     compared_with,
@@ -43,12 +49,15 @@ from lidarcfg.report.misses import (
     rigs_seen,
     worst_object,
 )
-from lidarcfg.report.mounts import MOUNTS_CAPTION, draw_mounts, draw_surfaces
+from lidarcfg.report.mounts import draw_surfaces
+from lidarcfg.report.overview import FIGURES_MAX, overview_figures, overview_parts, overview_verdict, rig_table
 from lidarcfg.report.page import FactRows, PageSection, Part, bullets, code, facts, figure, page
 from lidarcfg.report.repeat import repeat_section
 from lidarcfg.report.table import Column, Table, with_baseline
 from lidarcfg.report.text import truncate
-from lidarcfg.report.verification import requirement_parts, verdict_of
+from lidarcfg.report.verdict import remarks
+from lidarcfg.report.verification import requirement_parts
+from lidarcfg.requirements.verify import Verification
 from lidarcfg.search.run import Placement, at_bounds
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 from lidarcfg.study.evaluation import Worst
@@ -129,7 +138,7 @@ def report(
     seen = rigs_seen(study, rig, found, placement, beside)
     sections = [
         _misses(it, seen) if seen else None,
-        PageSection("requirements", "The requirements", requirement_parts(details.verification, rig))
+        PageSection("requirements", "The requirements", _requirements(details.verification, rig))
         if details.verification
         else None,
         _choice(choice) if choice else None,
@@ -162,12 +171,17 @@ def report(
     against = baseline.details.evaluation.verdict if baseline else None
     return page(
         f"Report: {rig.name}",
-        f"{describe_rig(rig)}; {'optimised' if placement else 'evaluated'} by lidarcfg {__version__} on {date()}",
+        f"{describe_rig(rig)}, in the study {truncate(study.name)}; "
+        f"{'optimised' if placement else 'evaluated'} by lidarcfg {__version__} on {date()}",
         [section for section in sections if section],
         summary(
-            [*_minimised(study, placement), *key_figures(study, rig, found, None, details.midpoint_max_vsr_m)],
+            [
+                *overview_figures(study, rig, found, seen),
+                *_minimised(study, placement),
+                *key_figures(study, rig, found, None, details.midpoint_max_vsr_m),
+            ],
             key_figures(study, baseline.rig, baseline.details.evaluation) if baseline else (),
-        ),
+        )[:FIGURES_MAX],
         [
             f"The baseline is {baseline.rig.name}, the rig in {baseline.file}; the study's bounds are not enforced on "
             "it. A difference is this rig's printed number minus the baseline's."
@@ -176,8 +190,10 @@ def report(
             "The search was interrupted: this is the best rig found so far."
             if placement and placement.interrupted
             else None,
+            *overview_parts(study, rig, found, seen),
         ],
-        verdict_of(found.verdict, against) if found.verdict else None,
+        overview_verdict(found.verdict, against) if found.verdict else None,
+        is_head_a_page=True,
     )
 
 
@@ -190,6 +206,11 @@ def _minimised(study: Study, placement: Placement | None) -> list[KeyFigure]:
     if study.is_max_vsr or study.is_misses:
         return []
     return [KeyFigure(Column("objective", ".6f"), placement.objective, describe_objective(study), is_main=True)]
+
+
+def _requirements(found: Verification, rig: Rig) -> Iterator[Part]:
+    yield bullets(remarks(found.verdict))
+    yield from requirement_parts(found, rig)
 
 
 def _misses(it: _Reported, rigs: tuple[SeenBy, ...]) -> PageSection:
@@ -210,8 +231,7 @@ def _choice(choice: ChoicePart) -> PageSection:
     """The combinations of sensors that were searched for the cheapest rig."""
     parts: list[Part] = [f"{choice.answer[0].upper()}{choice.answer[1:]}. {choice.searched}"]
     if choice.table.rows:
-        falls = "How far a combination falls short is told by its best rig's worst place: 100% are no returns there."
-        parts += [choice.table, falls]
+        parts.append(choice.table)
     if choice.again:
         parts += ["To go on with this search, for as long again or longer:", code(choice.again)]
     return PageSection("choice", "The combinations of sensors", parts)
@@ -232,13 +252,12 @@ def _task(it: _Reported) -> Iterator[Part]:
 def _rig(it: _Reported) -> Iterator[Part]:
     study = it.study
     rig = it.rig
-    yield it.both(lambda rig, _: mounts_table(rig))
+    yield it.both(lambda rig, details: rig_table(study, rig, details.evaluation))
     if len(rig.mounts) == len(study.slots):
         poses = np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
         if ends := at_bounds(study, poses):
             yield "These coordinates are at their bounds; a wider bound may give a better rig:"
             yield bullets(ends)
-    yield figure(draw_mounts(study, rig), MOUNTS_CAPTION)
     if any(slot.surface for slot in study.slots):
         yield figure(
             draw_surfaces(study, rig),
@@ -269,13 +288,13 @@ def search_facts(study: Study, placement: Placement) -> FactRows:
 
 
 def skipped_facts(study: Study, skipped: Mapping[str, int]) -> FactRows:
-    """How many rigs a search settled without computing all of their subspaces; none where it computed none."""
-    if not study.objective.cuts(study.detection):
-        return []
+    """How many rigs a search settled without computing all of their subspaces; none where that is no share of them."""
     rigs = skipped["rigs"]
     settled = skipped["full_evaluations"]
+    if not study.objective.cuts(study.detection) or not 0 < settled < rigs:
+        return []
     what = "rigs" if rigs_of_trial(study) > 1 else "trials"
-    return [(f"{what} settled without a full evaluation", f"{settled:,} of {rigs:,} ({settled / max(rigs, 1):.1%})")]
+    return [(f"{what} settled without a full evaluation", f"{settled:,} of {rigs:,} ({settled / rigs:.1%})")]
 
 
 def _search(it: _Reported, values: Mapping[str, Any]) -> Iterator[Part]:
@@ -307,6 +326,7 @@ def _worst(it: _Reported, beside_misses: bool) -> Iterator[Part]:
     worst = it.details.evaluation.worst[0]
     if beside_misses:
         yield "From here on: the paper's measures, of how large the gaps between beams are, not of what is missed."
+        yield figures_table(list(max_vsr_figures(it.rig, it.details.evaluation, it.details.midpoint_max_vsr_m)))
     yield "A subspace is a part of the region that no beam enters: an object that lies inside one is not seen."
     if _is_outside(worst):
         seen = " that sees it" if study.visibility else ""

@@ -106,7 +106,7 @@ def _rig(path: Path) -> tuple[str, Iterable[str]]:
         export = f"cannot be exported: no range of {', '.join(short)}"
     bodies = _bodies(vehicle) if vehicle else "no vehicle"
     text = f"{_models(mount.model for mount in rig.mounts)}, {bodies}; {export}"
-    return text, (*(vehicle.warnings if vehicle else ()), *rig_warnings(path))
+    return text, (*(vehicle.warnings if vehicle else ()), *rig_warnings(path, vehicle=vehicle))
 
 
 def _sends(mount: Mount) -> bool:
@@ -181,7 +181,7 @@ def _bodies(vehicle: Vehicle) -> str:
 
 
 def _triangles(scene: Scene) -> str:
-    return f"{len(scene.triangles):,} triangles"
+    return counted(len(scene.triangles), "triangle")
 
 
 SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {

@@ -84,10 +84,19 @@ class Cheapest(Shown):
     interrupted: bool
     log: SearchLog
 
+    def __repr__(self) -> str:
+        said = "meets all requirements" if self.meets else "comes closest; none found meets all requirements"
+        return f"<Cheapest: {self.combination.sensors}, for {self.combination.price:,.15g}: {said}>"
+
     @property
     def meets(self) -> bool:
         """Whether it meets all requirements."""
         return self.placement.verdict is not None and self.placement.verdict.passed
+
+    @property
+    def cannot(self) -> bool:
+        """Whether it is known of each combination that no rig of it can meet all."""
+        return all(one.excluded for one in self.tried)
 
 
 def cheapest(
@@ -129,7 +138,9 @@ class CheapestRun(Chooser):
         super().__init__(study, distinct_combinations(study), threads, skip, on_turn, log)
         asked = study.requirements
         if asked is None:
-            raise ConfigError("the study has no requirements, which the cheapest rig should meet; `front` needs none")
+            raise ConfigError(
+                "the study has no requirements, which the cheapest rig should meet; `lidarcfg optimize` needs none"
+            )
         self._workers = workers
         self._began = time.perf_counter()
         self._names = [item.name for item in asked.items]

@@ -83,6 +83,9 @@ class Combination:
     parent: Study
     parts: tuple[Part, ...]  # by group
 
+    def __repr__(self) -> str:
+        return f"<Combination: {self.sensors}, for {self.price:,.15g}>"
+
     @cached_property
     def price(self) -> float:
         """The price of all sensors."""

@@ -3,8 +3,9 @@
 import ipaddress
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -22,6 +23,7 @@ from lidarcfg.config.models import (
     Positive,
     Section,
     Vec3,
+    all_errors_at,
     check_names,
     error_at,
     errors_at,
@@ -34,7 +36,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.notebook import Shown
-from lidarcfg.sensors.faults import Fault, Faults, fault_errors
+from lidarcfg.sensors.faults import Fault, Faults, SlowHead, fault_errors
 from lidarcfg.sensors.realism import Realism, RealismOrName, resolved
 from lidarcfg.sensors.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
 from lidarcfg.units import MINUTE_NS
@@ -265,6 +267,21 @@ def resolve_sensor(
     return sensor, model if model in catalogue() else os.path.realpath(path.parent / model)
 
 
+def rotation_errors(mount: Mount, faults: Mapping[int, Fault]) -> Iterator[tuple[int, str]]:
+    """What rotation faults, by their numbers among a mount's, it cannot have, and why."""
+    turns = {i: fault for i, fault in faults.items() if isinstance(fault, SlowHead)}
+    for i, turn in turns.items():
+        if mount.sensor.scan_pattern or mount.azimuth_fov_deg:
+            what = "has a scan pattern and does not turn" if mount.sensor.scan_pattern else "has an azimuth_fov_deg"
+            yield i, f"{mount.name}: {what}; rotation faults are of heads that turn, and fire all around"
+        elif max(turn.rpm) > mount.rpm:
+            yield i, f"{mount.name}: a rotation fault of {max(turn.rpm):g} rpm; allowed: to {mount.rpm:g}"
+    in_time = sorted(turns, key=lambda i: turns[i].start_s)
+    for one, other in pairwise(in_time):
+        if turns[other].start_s < turns[one].end_s:
+            yield other, f"{mount.name}: two rotation faults at {turns[other].start_s:g} s; allowed: one at a time"
+
+
 def ports(sensor: Sensor) -> tuple[int, int]:
     """The default UDP ports of a sensor's data and telemetry."""
     return (sensor.ports.data, sensor.ports.telemetry) if sensor.ports else (DATA_PORT, TELEMETRY_PORT)
@@ -295,6 +312,10 @@ def load_rig(given: Given) -> Rig:
         else:
             mounts.append(mount)
     errors += fault_errors(path, file.faults, [listed.name for listed in file.sensors])
+    for mount in mounts:
+        own = {i: fault for i, fault in enumerate(file.faults) if fault.sensor == mount.name}
+        if found := [(("faults", i), what) for i, what in rotation_errors(mount, own)]:
+            errors += all_errors_at(path, found)
     if errors:
         raise ConfigError.all_of(errors)
     vehicle = None if file.vehicle is None else Section(_whole(file.vehicle, path.parent), str(path), ("vehicle",))

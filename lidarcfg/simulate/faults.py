@@ -28,7 +28,7 @@ from lidarcfg.sensors.faults import (
     WireFault,
 )
 from lidarcfg.sensors.firing import FiringBatch, Timing
-from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.rig import Mount, rotation_errors
 from lidarcfg.simulate.echoes import Echoes, drawn
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
@@ -51,19 +51,10 @@ class SensorFaults:
         cls, mount: Mount, faults: Mapping[int, Fault], timing: Timing, start_ns: int, end_ns: int
     ) -> "SensorFaults":
         """Those of a sensor. Raises ConfigError for what it cannot have."""
-        turns = [fault for fault in faults.values() if isinstance(fault, SlowHead)]
-        by_encoder = False
-        if turns:
-            if mount.sensor.scan_pattern or mount.azimuth_fov_deg:
-                what = "has a scan pattern and does not turn" if mount.sensor.scan_pattern else "has an azimuth_fov_deg"
-                raise ConfigError(f"{mount.name}: {what}; rotation faults are of heads that turn, and fire all around")
-            by_encoder = getattr(timing.pattern(mount), "start_rad", None) is not None
-        for turn in turns:
-            if max(turn.rpm) > mount.rpm:
-                raise ConfigError(f"{mount.name}: a rotation fault of {max(turn.rpm):g} rpm; allowed: to {mount.rpm:g}")
-        for one, other in pairwise(sorted(turns, key=lambda turn: turn.start_s)):
-            if other.start_s < one.end_s:
-                raise ConfigError(f"{mount.name}: two rotation faults at {other.start_s:g} s; allowed: one at a time")
+        for _, what in rotation_errors(mount, faults):
+            raise ConfigError(what)
+        turns = any(isinstance(fault, SlowHead) for fault in faults.values())
+        by_encoder = turns and getattr(timing.pattern(mount), "start_rad", None) is not None
         return cls(mount, faults, start_ns, end_ns, by_encoder)
 
     @property

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +87,15 @@ class Robustness:
         return float((self.increase_m[:, 3:] if angles else self.increase_m[:, :3]).max())
 
 
+def misses_without(study: Study, rig: Rig) -> dict[str, float]:
+    """What is missed if one sensor fails, by its name; empty where there is one alone, or misses are not known."""
+    if len(rig.mounts) == 1:
+        return {}
+    left = {lost.name: replace(rig, mounts=tuple(m for m in rig.mounts if m is not lost)) for lost in rig.mounts}
+    found = {name: misses_of(study, others) for name, others in left.items()}
+    return {name: one.mean for name, one in found.items() if one} if all(found.values()) else {}
+
+
 def robustness(study: Study, rig: Rig) -> Robustness | None:
     """The effects of failures and mounting errors; None where the region has too many cuboids for a quick answer."""
     if study.region.included.size > CUBOIDS_MAX:
@@ -161,6 +170,7 @@ class Evaluation(Shown):
     robustness: Robustness | None = None  # where it was asked for, and is cheap
     posts: tuple[PostVisibility, ...] = ()  # where posts are seen, where that was asked for and is known
     misses: MissesFound | None = None  # at fresh places; None: no vehicle, or sensors lack facts
+    misses_without: dict[str, float] = field(default_factory=dict)  # by the sensor that is lost; empty as robustness
     verdict: Verdict | None = None  # of a study with requirements
     verifier: Verifier | None = None  # that reached it, if it was reached here: it knows the rig's counts
 
@@ -233,6 +243,11 @@ def evaluate(
         verdict=verdict,
         verifier=verifier,
     )
+
+
+def with_failures(study: Study, rig: Rig, found: Evaluation) -> Evaluation:
+    """An evaluation with the effects of failures and mounting errors."""
+    return replace(found, robustness=robustness(study, rig), misses_without=misses_without(study, rig))
 
 
 def shadow(study: Study, rig: Rig) -> NDArray[np.bool_]:

@@ -15,6 +15,8 @@ from lidarcfg.world.meshes import Mesh
 
 GRID_M = 1e-6  # to which corners are rounded, so that neighbouring triangles join
 FLAT_M2 = 1e-12  # a triangle that is smaller from above is upright
+MANY_TRIANGLES = 20_000  # more are joined by their outlines only: some 10 times as fast, within 2 GRID_M
+PLACE = np.dtype((np.void, 16))  # the bits of two int64
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class Footprint:
         solid = corners[area_m2 > FLAT_M2]
         if not len(solid):
             return cls(shapely.MultiPoint(corners.reshape(-1, 2)).convex_hull)
+        if len(solid) > MANY_TRIANGLES:
+            return cls(_filled(_bounding_edges(solid)))
         joined = shapely.union_all(shapely.polygons(solid), grid_size=GRID_M)
         outer = [shapely.Polygon(part.exterior) for part in shapely.get_parts(joined)]
         return cls(shapely.unary_union(outer))
@@ -112,3 +116,28 @@ class Footprint:
             corners = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + places[:, None, :2]
             made = shapely.polygons(corners) if len(outline) > 3 else shapely.linestrings(corners)
             yield np.asarray(made)
+
+
+def _bounding_edges(corners: Array) -> Array:
+    """(E, 2, 2) the edges of triangles (T, 3, 2) that may bound their union: no triangle lies on one side of them."""
+    places = np.rint(corners.reshape(-1, 2) / GRID_M).astype(np.int64)
+    number = np.unique(places.view(PLACE)[:, 0], return_inverse=True)[1].reshape(-1, 3)
+    first = corners[:, 1] - corners[:, 0]
+    second = corners[:, 2] - corners[:, 0]
+    left = first[:, 0] * second[:, 1] > first[:, 1] * second[:, 0]
+    start, end = number, np.roll(number, -1, axis=1)
+    edge = (np.minimum(start, end) * (number.max() + 1) + np.maximum(start, end)).ravel()
+    side = (left[:, None] == (start < end)).ravel()
+    one_sided = np.setxor1d(edge[side], edge[~side])
+    edges, at = np.unique(edge, return_index=True)
+    triangle, corner = np.divmod(at[np.searchsorted(edges, one_sided)], 3)
+    return np.stack([corners[triangle, corner], corners[triangle, (corner + 1) % 3]], axis=1)
+
+
+def _filled(edges: Array) -> BaseGeometry:
+    """What edges (E, 2, 2) enclose: all that cannot be reached from outside without crossing one."""
+    lines = shapely.union_all(shapely.linestrings(edges), grid_size=GRID_M)
+    frame = shapely.box(*lines.bounds).buffer(1.0, join_style="mitre")
+    faces = shapely.get_parts(shapely.polygonize([lines, frame.exterior]))
+    outside = max(faces, key=lambda face: shapely.Polygon(face.exterior).area)
+    return shapely.unary_union([shapely.Polygon(ring) for ring in outside.interiors])

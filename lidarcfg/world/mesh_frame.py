@@ -99,6 +99,29 @@ def axes_warnings(item: MeshFile, mesh: Mesh) -> list[str]:
     return [f"{what}; if so, set rpy_deg: [{', '.join(f'{angle:g}' for angle in rpy_deg)}]"]
 
 
+def likely_position_m(mesh: Mesh) -> Vec3:
+    """Where a vehicle's mesh, in metres, must be moved to stand at the origin; nowhere, unless it is far from there.
+
+    It is far if it is farther away than it is large.
+    """
+    low, high = mesh[0].min(axis=0), mesh[0].max(axis=0)
+    gap = np.maximum(np.maximum(low, -high), 0)
+    if np.linalg.norm(gap) <= np.linalg.norm(high - low):
+        return AS_IS
+    x, y, z = (round(-value, 3) for value in (*((low + high)[:2] / 2).tolist(), float(low[2])))
+    return x, y, z
+
+
+def place_warnings(item: MeshFile, mesh: Mesh) -> list[str]:
+    """A warning if a vehicle's only mesh, in the vehicle frame, is far from the origin."""
+    moved = likely_position_m(mesh)
+    if moved == AS_IS:
+        return []
+    away = f"{item.name!r} of {item.file} is {np.linalg.norm(moved):.0f} m away from the origin of the vehicle frame"
+    there = ", ".join(f"{was + move:g}" for was, move in zip(item.position_m, moved, strict=True))
+    return [f"{away}; to stand there, set position_m: [{there}]"]
+
+
 def _what(item: MeshFile, size_m: Array) -> str:
     size = " × ".join(f"{value:.4g}" if value < 1e4 else f"{value:.0f}" for value in size_m)
     return f"{item.name!r} of {item.file} is {size} m large"

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import PlainSerializer, PlainValidator, SerializationInfo, WithJsonSchema
 
-from lidarcfg.config.models import path_from, validation_error
+from lidarcfg.config.kinds import a_thing
+from lidarcfg.config.models import path_from, shown, validation_error
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array
 
@@ -39,7 +40,7 @@ class Triangles:
         if isinstance(mesh, tuple) and len(mesh) == 2:
             return cls._checked(*mesh)
         allowed = "Open3D's TriangleMesh, or vertices (V, 3) and triangles (T, 3)"
-        raise SceneError(f"a {type(mesh).__name__} is no mesh; allowed: {allowed}")
+        raise SceneError(f"{a_thing(mesh)} is no mesh; allowed: {allowed}")
 
     @classmethod
     def _checked(cls, vertices_m: ArrayLike, triangles: ArrayLike) -> "Triangles":
@@ -76,8 +77,10 @@ def _from(value: Any) -> str | Triangles:
     """The validator: a name, or triangles as files or Python give them."""
     if isinstance(value, str):
         if not value:
-            raise validation_error("'' is too short; allowed: at least 1 characters")
+            raise validation_error("'' is too short; allowed: at least 1 character")
         return value
+    if value is None or isinstance(value, int | float):
+        raise validation_error(f"{shown(value)} is no mesh; allowed: the name of a file, or {' and '.join(KEYS)}")
     try:
         if isinstance(value, Mapping):
             if value.keys() != set(KEYS):

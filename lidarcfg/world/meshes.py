@@ -29,11 +29,12 @@ NO_MESHES = {  # by suffix: what the file is instead, and what to do
     **dict.fromkeys(
         (".step", ".stp", ".iges", ".igs"), "a CAD model has no triangles; export a mesh of it, for example an STL"
     ),
-    **dict.fromkeys((".3ds", ".blend"), "a format that is not read; export the mesh as glTF, OBJ or STL"),
+    **dict.fromkeys((".3ds", ".blend", ".fbx"), "a format that is not read; export the mesh as glTF, OBJ or STL"),
     ".urdf": "a robot; a vehicle or a scene names it under meshes",
     **dict.fromkeys((".png", ".npy"), "heights are no mesh; give them under height_fields, in a scene"),
 }
 
+FIRST_BYTES = {b"ply": (".ply",), b"glTF": (".glb", ".gltf")}  # of a file, and the suffixes that it may have
 FILE_MAX = 500_000_000  # bytes of a mesh's file: ten million triangles
 
 
@@ -113,6 +114,7 @@ def read_mesh(path: Path) -> Mesh:
     check_readable(path, FILE_MAX)
     if path.suffix.lower() in NO_MESHES:
         raise SceneError(f"{path}: {NO_MESHES[path.suffix.lower()]}")
+    _check_suffix(path)
     if path.suffix.lower() in SUFFIXES:
         check_nodes(path)
     plain = _ply_mesh(path) if path.suffix.lower() == ".ply" else None
@@ -134,11 +136,33 @@ def read_mesh(path: Path) -> Mesh:
     return vertices, triangles
 
 
+def _check_suffix(path: Path) -> None:
+    """Raises SceneError for a file that is another format than its suffix says."""
+    with path.open("rb") as file:
+        head = file.read(4)
+    for first, suffixes in FIRST_BYTES.items():
+        if head.startswith(first) and path.suffix.lower() not in suffixes:
+            raise SceneError(f"{path}: it begins like a {suffixes[0]} file; name it {path.stem}{suffixes[0]}")
+
+
 def mesh_from(source: str | Triangles, folder: Path) -> Mesh:
     """The mesh that a file in a folder names or holds. Raises SceneError."""
     if isinstance(source, Triangles):
         return source.vertices_m, source.triangles
     return read_mesh(folder / source)
+
+
+def ply_file(mesh: Mesh) -> bytes:
+    """A mesh as a binary PLY file, of float64."""
+    import plyfile
+
+    vertices = np.ascontiguousarray(mesh[0], "<f8").view([(axis, "<f8") for axis in "xyz"])[:, 0]
+    faces = np.zeros(len(mesh[1]), [("vertex_indices", "<i4", (3,))])
+    faces["vertex_indices"] = mesh[1]
+    named = [(vertices, "vertex"), (faces, "face")]
+    out = BytesIO()
+    plyfile.PlyData([plyfile.PlyElement.describe(*one) for one in named], byte_order="<").write(out)
+    return out.getvalue()
 
 
 def _ply_mesh(path: Path) -> Mesh | None:

@@ -18,12 +18,25 @@ PLACE = np.dtype((np.void, 24))  # the bits of three float64
 
 
 def merge_vertices(mesh: Mesh) -> Mesh:
-    """The mesh with vertices at the same place made one, and without triangles of fewer than three places."""
+    """The mesh with vertices at the same place made one, without triangles of fewer than three places, or again."""
     vertices, triangles = mesh
     corners_at, number = unique_vertices(vertices)
     corners = number[triangles]
     a, b, c = corners.T
-    return corners_at, corners[(a != b) & (b != c) & (c != a)]
+    return corners_at, _once(corners[(a != b) & (b != c) & (c != a)], len(corners_at))
+
+
+def _once(triangles: Index, count: int) -> Index:
+    """The triangles without those that are there already, with the same side out, of so many vertices.
+
+    Where two bodies touch, a triangle is there with either side out.
+    """
+    least = triangles.argmin(axis=1)
+    a, b, c = (np.take_along_axis(triangles, (least[:, None] + k) % 3, axis=1)[:, 0] for k in range(3))
+    edge = a * count + b
+    order = np.lexsort((c, edge))  # stable: the first of equal ones comes first
+    again = order[1:][(np.diff(edge[order]) == 0) & (np.diff(c[order]) == 0)]
+    return np.delete(triangles, again, axis=0) if len(again) else triangles
 
 
 def unique_vertices(vertices: Array) -> tuple[Array, Index]:

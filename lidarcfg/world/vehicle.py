@@ -1,6 +1,7 @@
 """A vehicle: the bodies that travel with the sensors and block their beams, in the vehicle frame."""
 
 import os
+import shlex
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -24,7 +25,7 @@ from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.footprint import Footprint
 from lidarcfg.world.gltf import SUFFIXES as GLTF
-from lidarcfg.world.mesh_frame import axes_warnings, gltf_note, gltf_rpy_deg, unit_warnings
+from lidarcfg.world.mesh_frame import axes_warnings, gltf_note, gltf_rpy_deg, place_warnings, unit_warnings
 from lidarcfg.world.mesh_source import Triangles
 from lidarcfg.world.meshes import Mesh, read_mesh
 from lidarcfg.world.robot import read_robot
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     import open3d
 
 MANY_TRIANGLES = 500_000  # triangles: reading and checking them takes seconds
+FEWER_TRIANGLES = 100_000  # are enough for a vehicle: docs/vehicles.md
 ORIGIN = 0.0, 0.0, 0.0
 
 
@@ -257,6 +259,10 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     for kind in ("boxes", "planes", "meshes"):
         for i, item in enumerate(getattr(file, kind)):
             mesh = object_mesh(scene, scene.names.index(item.name))
+            if not len(mesh[1]):
+                raise error_at(
+                    path, (*at, kind, i, "file"), f"{item.name!r} has no triangle with three different corners"
+                )
             edges = open_edges(mesh)
             if len(edges) == 0:
                 closed[item.name] = mesh
@@ -269,13 +275,18 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
                 what = f"{_describe_open(item, edges)}; {solid} closed parts; it still blocks beams"
                 warnings.append(_warning(path, (*at, kind, i), what))
             if kind == "meshes":
-                alone = len(file.meshes) == 1 and not is_robot(item)  # whose axes are given
-                looks = unit_warnings(item, mesh) + (axes_warnings(item, mesh) if alone else [])
-                looks += _left_out(item, path.parent)
+                looks = unit_warnings(item, mesh) + _left_out(item, path.parent)
+                if len(file.meshes) == 1 and not is_robot(item):  # whose axes and place are given
+                    looks += axes_warnings(item, mesh) + place_warnings(item, mesh)
                 warnings += [_warning(path, (*at, kind, i, "file"), what) for what in looks]
     if len(scene.triangles) > MANY_TRIANGLES:
         seconds = time.perf_counter() - began
         what = f"the vehicle has {len(scene.triangles):,} triangles; reading them took {seconds:.1f} s"
+        largest = np.bincount(scene.triangle_object).argmax()
+        item = scene.items[largest]
+        if isinstance(item, MeshFile) and isinstance(item.file, str):
+            command = f"lidarcfg init study --vehicle {shlex.quote(str(path.parent / item.file))}"
+            what += f"; with fewer: {command} --triangles {FEWER_TRIANGLES} -o new/study.yaml"
         warnings.append(_warning(path, at, what))
     excluded = tuple(item.name for kind in KINDS for item in getattr(file, kind) if item.exclude)
     whole = file.model_copy(update={"meshes": tuple(_whole(mesh, path.parent) for mesh in file.meshes)})

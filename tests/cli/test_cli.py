@@ -475,5 +475,5 @@ def test_names_of_a_million_characters(tmp_path):
     (tmp_path / "b.yaml").write_text(rig.format("n" * 200, "n" * 201))
     for name in ("a.yaml", "b.yaml"):
         said = run("validate", tmp_path / name, code=2).stderr
-        assert "… is too long; allowed: at most 200 characters" in said
+        assert "'… is too long; allowed: at most 200 characters" in said
         assert len(said) < 400

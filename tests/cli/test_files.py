@@ -308,7 +308,7 @@ def study(tmp_path, *changes, constraints=""):
         ),
         (
             [("[3, 1, 1.5]", "[3, 1, 1500]")],
-            r":5:\d+: sensors\[1\].max.position_m\[2\]: .* 1500 m above the ground; are",
+            r":5:\d+: sensors\[1\].max.position_m: this bound is 1,498 m from the vehicle's body; positions are in me",
         ),
     ],
 )
@@ -341,16 +341,38 @@ def test_a_rig_s_angles_too(tmp_path):
     assert list(rig_warnings(ROOT / "data/rigs/roof.yaml")) == []
 
 
-def test_a_rig_s_sensors_below_the_ground_or_far_above_it(tmp_path):
+def test_a_rig_s_sensors_below_the_ground_or_far_away(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text(
         "name: two\nsensors:\n  - {name: a, model: vlp-16, position_m: [0, 0, -0.2]}\n"
         "  - {name: b, model: vlp-16, position_m: [0, 0, 1900]}\n  - {name: c, model: vlp-16, position_m: [0, 0, 40]}\n"
     )
     assert list(rig_warnings(path)) == [
-        f"{path}:3:49: sensors[0].position_m[2]: this is 0.2 m below the ground, which is at z = 0",
-        f"{path}:4:49: sensors[1].position_m[2]: this is 1900 m above the ground; are these metres?",
+        f"{path}:3:49: sensors[0].position_m[2]: a is 0.2 m below the ground, which is at z = 0",
+        f"{path}:4:30: sensors[1].position_m: b is 1,900 m from the origin of the vehicle frame; "
+        "positions are in metres, in the vehicle frame",
     ]
+
+
+@pytest.mark.slow
+def test_a_rig_in_millimetres_is_told_where_it_is_evaluated_or_exported(tmp_path):
+    """A roof 2 m high, and a sensor at 2,800 mm: 2,798 m above it."""
+    rig = tmp_path / "rig.yaml"
+    body = "vehicle: {boxes: [{name: body, center_m: [0, 0, 1], size_m: [4, 2, 2]}]}\n"
+    rig.write_text(f"name: r\n{body}sensors:\n  - {{name: roof, model: vlp-16, position_m: [0, 0, 2800]}}\n")
+    said = "roof is 2,798 m from the vehicle's body; positions are in metres, in the vehicle frame"
+    path = study(tmp_path)
+    scene = ROOT / "data/scenes/room.yaml"
+    capture = tmp_path / "a.pcap"
+    for words in (
+        ("evaluate", path, rig, "--json"),
+        ("export", rig, "--scene", scene, "--duration", 0.02, "-o", capture),
+    ):
+        assert f"{rig}:4:33: sensors[0].position_m: {said}" in lidarcfg(*words).stderr, words
+    path = study(tmp_path, ("[0, 0, 2.5]", "[0, 0, 2500]"), ("[1, 1, 3]", "[1, 1, 3000]"))
+    low, high = study_warnings(path, load_study(path))
+    assert "sensors[0].min.position_m: this bound is 2,498 m from the vehicle's body" in low
+    assert "sensors[0].max.position_m: this bound is 2,998 m from the vehicle's body" in high
 
 
 def test_a_sensor_inside_the_body_that_its_rig_names_is_an_error_at_its_line(tmp_path):
@@ -476,3 +498,62 @@ def test_maps_that_are_no_meshes_are_refused_by_name(tmp_path):
         SceneError, match=r"points.ply: no triangles that Open3D can read; a point cloud has no surfaces"
     ):
         read_mesh(tmp_path / "points.ply")
+
+
+def test_a_study_with_a_simplified_mesh(tmp_path):
+    """In millimetres, 1 km away: what init says of it is what the sphere says, by hand; the study is accepted."""
+    ball = trimesh.creation.icosphere(4, 1500.0)
+    ball.apply_translation((1e6, 0, 1500))
+    ball.export(tmp_path / "ball.ply")
+    out = tmp_path / "out/study.yaml"
+    asked = "init", "study", "--vehicle", tmp_path / "ball.ply", "--triangles", 500, "-o", out
+    said = lidarcfg(*asked).stdout
+    found = re.search(r"5,120 triangles are now 500, at most ([\d.]+) mm from their surface", said)
+    fewer = trimesh.load(tmp_path / "out/ball-500.ply")
+    away = abs(np.linalg.norm(fewer.triangles_center - (1e6, 0, 1500), axis=1) - 1500).max()
+    assert float(found[1]) == pytest.approx(away, rel=0.3)
+    assert values(out)["vehicle"]["meshes"][0]["file"] == "ball-500.ply"
+    assert values(out)["vehicle"]["meshes"][0]["position_m"] == pytest.approx([-1000, 0, 0], abs=0.1)
+    assert load_study(out).vehicle.warnings == ()
+    assert "study.yaml: exists already" in lidarcfg(*asked, code=2).stderr
+    for wrong in (("--vehicle", "truck", "--triangles", 500), ("--triangles", 500)):
+        assert "--triangles is for a mesh file" in lidarcfg("init", "study", *wrong, "-o", "x.yaml", code=2).stderr
+
+
+def test_a_study_of_an_open_mesh_can_be_used(tmp_path):
+    """What init writes is accepted: nothing is inside of a mesh with a hole, and so nothing is excluded."""
+    mesh = trimesh.creation.box((4, 2, 1.5))
+    trimesh.Trimesh(mesh.vertices, mesh.faces[1:]).export(tmp_path / "body.ply")
+    (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "body.ply"))
+    (message,) = load_study(study).vehicle.warnings
+    assert "is not closed" in message
+    assert load_study(study).vehicle.excluded == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.stl", b"ply\nformat", "a.stl: it begins like a .ply file; name it a.ply"),
+        ("a.obj", b"glTF\x02\0\0\0", "a.obj: it begins like a .glb file; name it a.glb"),
+        ("a.fbx", b"Kaydara", "a.fbx: a format that is not read; export the mesh as glTF"),
+        ("a.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n1 0 0\n3 0 1 2\n", "'body' has no triangle with three different"),
+    ],
+)
+def test_a_mesh_that_is_none(tmp_path, name, content, said):
+    (tmp_path / name).write_bytes(content)
+    (tmp_path / "v.yaml").write_text(f"meshes: [{{name: body, file: {name}}}]\nallow_inside: false\n")
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        summary(tmp_path / "v.yaml")
+
+
+def test_a_mesh_that_is_far_away(tmp_path):
+    """As a map has it: validate says where it stands, and init writes that."""
+    mesh = trimesh.creation.box((4, 2, 1.5))
+    mesh.apply_translation((1000, -2000, 30.75))
+    mesh.export(tmp_path / "body.stl")
+    (tmp_path / "v.yaml").write_text("meshes: [{name: body, file: body.stl, position_m: [1, 0, 0]}]\n")
+    (message,) = summary(tmp_path / "v.yaml").warnings
+    assert "to stand there, set position_m: [-1000, 2000, -30]" in message
+    (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "body.stl"))
+    assert values(study)["vehicle"]["meshes"][0]["position_m"] == [-1000, 2000, -30]
+    assert summary(study).warnings == ()

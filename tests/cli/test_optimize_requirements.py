@@ -32,7 +32,8 @@ def test_the_cheapest_rig(tmp_path, blank_pictures):
     study.write_text(CHOICE.replace("RETURNS", "300").replace("price_at_most: 13000", "price_at_most: 3999"))
     done = lidarcfg("optimize", study, "--evaluations", 20, "-o", tmp_path / "out", code=3)
     assert "not achievable: the cheapest rig costs 4,000" in done.stderr
-    assert "no rig found meets all requirements" in done.stdout
+    assert "no rig can meet all requirements: the cheapest combination, 1 × vlp-16 for 4,000: too dear" in done.stdout
+    assert "to go on" not in done.stdout
     with open(tmp_path / "out" / "combinations.csv") as file:
         rows = list(csv.DictReader(file))
     assert {row["excluded"] for row in rows} == {"too dear"}

@@ -13,14 +13,18 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import Field, ValidationError
 
+from lidarcfg.capture.manifest import CaptureManifest
 from lidarcfg.config.models import ERROR_MESSAGES, Model, Section, load, loads, nested_models
 from lidarcfg.errors import MANY, ConfigError
 from lidarcfg.files import replacing
+from lidarcfg.requirements.file import RequirementsFile
+from lidarcfg.sensors.faults import FaultsFile
 from lidarcfg.sensors.rig import RigFile, load_rig
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.study.file import StudyFile
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene_file import SceneFile
+from tests.refusals import refused
 
 GOOD = "name: a\nbeams:\n  elevation_deg: [-1, 1e-05]\n"
 
@@ -279,3 +283,22 @@ def test_errors_of_a_file_within_another_are_one_line(tmp_path):
     with pytest.raises(ConfigError, match=r"beams: 3 is not a map of keys; .*maker: 4 is not a text") as caught:
         load_rig(tmp_path / "r.yaml")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("model", "text", "said"),
+    [
+        (RigFile, "faults: []\n", "f.yaml:1:1: this is a file of faults; a rig belongs here"),
+        (RequirementsFile, "sensors: [{position_m: 1}]\n", "this is a rig; a file of requirements belongs here"),
+        (FaultsFile, "requirements: []\n", "this is a file of requirements; a file of faults belongs here"),
+        (RigFile, "name: ''\nsensors: [{name: a}]\n", "name: '' is too short; allowed: at least 1 character"),
+        (SceneFile, f"name: {'x' * 300}\n", f"name: '{'x' * 60}'… is too long; allowed: at most 200 characters"),
+        (SceneFile, "name: a\nheight_fields: [{heights_m: [[1, 2]]}]\n", "heights_m: has 1 value; allowed: at least 2"),
+        (SceneFile, "name: a\nmeshes: [{name: b, file: 3}]\n", "file: 3 is no mesh; allowed: the name of a file, or"),
+        (CaptureManifest, "vehicle: {file: a, sha256: b, c: 1}\n", "unknown key; allowed: file, sha256"),
+    ],
+)
+def test_errors_are_english(model, text, said):
+    """Sentences read aloud; the last one was a traceback, as the key may be one of several models."""
+    with refused(said):
+        loads(text, model, "f.yaml")

@@ -1,13 +1,16 @@
 """Distances to a concave body by hand and by plain loops, and footprints with holes."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
+import trimesh
 
 from lidarcfg.returns.places import Stand, StandZone
-from lidarcfg.world.footprint import Footprint
-from lidarcfg.world.meshes import join_meshes
+from lidarcfg.world.footprint import GRID_M, MANY_TRIANGLES, Footprint
+from lidarcfg.world.meshes import join_meshes, read_mesh
 from tests.naive import requirements as naive
 from tests.returns_cases import box
 
@@ -120,3 +123,37 @@ def test_places_are_where_they_are_allowed():
     reach = np.where(boxed[:, 3] == 0, 0.2, 0.1)
     assert (boxed[:, 0] - reach).min() >= 3.0 - 1e-9
     assert (boxed[:, 0] + reach).max() <= 5.0 + 1e-9
+
+
+def _cut(mesh, times):
+    """A mesh with each triangle cut into four, several times."""
+    for _ in range(times):
+        mesh = trimesh.remesh.subdivide(*mesh)
+    assert len(mesh[1]) > 1.8 * MANY_TRIANGLES  # a half or more lies flat
+    return mesh
+
+
+def _box_shape(width, depth, x, y):
+    return shapely.box(x - width / 2, y - depth / 2, x + width / 2, y + depth / 2)
+
+
+def test_a_large_mesh_by_hand():
+    """Bodies beside each other, one with a notch, a hole that is filled, and what lies in the hole."""
+    frame = [moved(box(3.0, 0.5, 1.0), 8.0, y) for y in (-1.25, 1.25)]
+    frame += [moved(box(0.5, 3.0, 1.0), 8.0 + x, 0.0) for x in (-1.25, 1.25)]
+    inside = moved(box(0.3, 0.3, 1.0), 8.0, 0.2)
+    found = Footprint.of(_cut(join_meshes([U, *frame, inside]), 5)).shape
+    bar = shapely.union_all([_box_shape(4, 1, 0, 0), _box_shape(1, 2, -1.5, 1.5), _box_shape(1, 2, 1.5, 1.5)])
+    expected = bar.union(_box_shape(3, 3, 8, 0))
+    assert len(shapely.get_parts(found)) == 2
+    assert found.symmetric_difference(expected).area < GRID_M * expected.length
+    assert shapely.hausdorff_distance(found, expected) < 2 * GRID_M
+
+
+@pytest.mark.parametrize("name", ["vehicles/sedan", "objects/cyclist"])
+def test_a_large_mesh_by_the_union_of_its_triangles(name):
+    mesh = read_mesh(Path(__file__).parents[2] / f"data/{name}.ply")
+    found = Footprint.of(_cut(mesh, 2)).shape
+    expected = Footprint.of(mesh).shape
+    assert shapely.hausdorff_distance(found, expected) < 2 * GRID_M
+    assert found.symmetric_difference(expected).area < GRID_M * expected.length

@@ -393,6 +393,31 @@ def test_what_cannot_be_is_said(world, tmp_path, name, faults, said):
         exported(world, tmp_path / "no.pcap", faults, [name])
 
 
+def test_a_rig_whose_faults_cannot_be_is_refused_as_it_is_read(tmp_path):
+    """Where export refuses faults of a file of their own, those of a rig's file are refused with the same words."""
+    text = """name: r
+sensors:
+  - {name: mid, model: mid-360, position_m: [0, 0, 2]}
+  - {name: xt, model: pandar-xt32, position_m: [0, 0, 2], rpm: 600}
+  - {name: half, model: pandar-xt32, position_m: [0, 1, 2], azimuth_fov_deg: [0, 180]}
+faults:
+  - {fault: rotation, sensor: mid, start_s: 0, end_s: 1, rpm: [0, 0]}
+  - {fault: rotation, sensor: xt, start_s: 0, end_s: 1, rpm: [0, 900]}
+  - {fault: rotation, sensor: xt, start_s: 0.5, end_s: 1, rpm: [0, 300]}
+  - {fault: rotation, sensor: half, start_s: 0.5, end_s: 1, rpm: [0, 300]}
+"""
+    (tmp_path / "rig.yaml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_rig(tmp_path / "rig.yaml")
+    turning = "rotation faults are of heads that turn, and fire all around"
+    assert [line.removeprefix(f"{tmp_path / 'rig.yaml'}:") for line in str(caught.value).split("\n")] == [
+        f"7:5: faults[0]: mid: has a scan pattern and does not turn; {turning}",
+        "8:5: faults[1]: xt: a rotation fault of 900 rpm; allowed: to 600",
+        "9:5: faults[2]: xt: two rotation faults at 0.5 s; allowed: one at a time",
+        f"10:5: faults[3]: half: has an azimuth_fov_deg; {turning}",
+    ]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [name for name in catalogue() if load_sensor(name).codec])
 def test_all_faults_of_all_models_at_once(world, tmp_path, model):

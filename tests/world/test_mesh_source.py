@@ -88,7 +88,7 @@ def test_an_object_of_a_mesh():
 @pytest.mark.parametrize(
     ("mesh", "what"),
     [
-        (3, "a int is no mesh; allowed: Open3D's TriangleMesh, or vertices"),
+        (3, "an int is no mesh; allowed: Open3D's TriangleMesh, or vertices"),
         (o3d.geometry.TriangleMesh(), "the mesh has no triangles"),
         (o3d.t.geometry.TriangleMesh(), "the mesh has no triangles"),
         ((np.zeros((3, 3)), [[0, 1, 9]]), "a triangle names vertex 9; there are 3"),

@@ -77,7 +77,7 @@ def test_files(tmp_path):
         ("a.yaml", "{}", "missing; give one of velocity_m_s, arc, poses"),
         ("a.yaml", "velocity_m_s: [1, 0, 0]\narc: {speed_m_s: 1, yaw_rate_deg_s: 2}", r"2:1: arc: conflicts with velocity_m_s"),
         ("a.yaml", "poses: [{time_s: 1, position_m: [0, 0, 0]}, {time_s: 1, position_m: [0, 0, 0]}]", "1 is not after 1"),
-        ("a.yaml", "poses: [{time_s: 1, position_m: [0, 0, 0]}]", "has 1 values; allowed: at least 2"),
+        ("a.yaml", "poses: [{time_s: 1, position_m: [0, 0, 0]}]", "has 1 value; allowed: at least 2"),
         ("a.yaml", "poses: [{time_s: 0, position_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 2]}, {time_s: 1, position_m: [0, 0, 0]}]", "is of length 2; allowed: 1"),
         ("a.tum", "0 0 0 0 0 0 0 1", "a.tum: 1 poses; allowed: at least 2"),
         ("a.tum", "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0", "a.tum:2:1: '1 0 0 0 0 0 0' is not a pose; allowed: time_s x y z qx"),
