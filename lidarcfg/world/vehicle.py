@@ -4,7 +4,8 @@ import os
 import shlex
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -17,16 +18,19 @@ from lidarcfg.config.document import Key
 from lidarcfg.config.kinds import OTHERS, YAML_SUFFIXES
 from lidarcfg.config.models import Given, Model, Position, Section, error_at, load_or_check, validation_error
 from lidarcfg.core import world
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, SceneError
 from lidarcfg.files import example, loaded
 from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.footprint import Footprint
-from lidarcfg.world.mesh_frame import axes_warnings, place_warnings, unit_warnings
+from lidarcfg.world.gltf import SUFFIXES as GLTF
+from lidarcfg.world.mesh_frame import axes_warnings, gltf_note, gltf_rpy_deg, place_warnings, unit_warnings
 from lidarcfg.world.mesh_source import Triangles
-from lidarcfg.world.meshes import Mesh
-from lidarcfg.world.scene import Scene, build_scene
+from lidarcfg.world.meshes import Mesh, read_mesh
+from lidarcfg.world.robot import read_robot
+from lidarcfg.world.robot_body import ground_notes, shaped_links
+from lidarcfg.world.scene import Scene, build_scene, is_robot
 from lidarcfg.world.scene_file import KINDS, Box, Cylinder, MeshFile, Plane, SceneFile, SceneObject, Sphere, check_names
 from lidarcfg.world.solids import (
     connected_components,
@@ -83,6 +87,7 @@ class BodyMesh(BodyKeys, MeshFile):
     """A mesh of a vehicle."""
 
     position_m: Position = ORIGIN
+    without: tuple[str, ...] | None = None  # links of a URDF that are no part of the body; by default its LiDARs
 
 
 class VehicleFile(Model):
@@ -275,8 +280,8 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
                 what = f"{_describe_open(item, edges)}; {solid} closed parts; it still blocks beams"
                 warnings.append(_warning(path, (*at, kind, i), what))
             if kind == "meshes":
-                looks = unit_warnings(item, mesh)
-                if len(file.meshes) == 1:
+                looks = unit_warnings(item, mesh) + _left_out(item, path.parent)
+                if len(file.meshes) == 1 and not is_robot(item):  # whose axes and place are given
                     looks += axes_warnings(item, mesh) + place_warnings(item, mesh)
                 warnings += [_warning(path, (*at, kind, i, "file"), what) for what in looks]
     if len(scene.triangles) > MANY_TRIANGLES:
@@ -291,6 +296,15 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     excluded = tuple(item.name for kind in KINDS for item in getattr(file, kind) if item.exclude)
     whole = file.model_copy(update={"meshes": tuple(_whole(mesh, path.parent) for mesh in file.meshes)})
     return Vehicle(scene, excluded, file.allow_inside, whole, closed, tuple(warnings))
+
+
+def _left_out(item: BodyMesh, folder: Path) -> list[str]:
+    """What is said of the links of a robot that were left out without being named."""
+    if item.without is not None or not is_robot(item):
+        return []
+    robot = read_robot(folder / str(item.file))
+    left_out = [name for name in shaped_links(robot) if name in robot.lidars]
+    return [f"left out of the body, as LiDARs: {', '.join(left_out)}; without: [] keeps them"] if left_out else []
 
 
 def _whole(mesh: BodyMesh, folder: Path) -> BodyMesh:
@@ -309,7 +323,16 @@ def load_vehicle(given: Given) -> Vehicle:
         file, path = load_or_check(given, VehicleFile)
         return vehicle(file, path, ())
     path = example(given)
-    return vehicle(VehicleFile(meshes=(BodyMesh(name="body", file=path.name),)), path)
+    body = BodyMesh(name="body", file=path.name)
+    notes: list[str] = []
+    if path.suffix.lower() in GLTF:
+        with suppress(SceneError):  # which is told where the mesh is made
+            body = body.model_copy(update={"rpy_deg": gltf_rpy_deg(read_mesh(path))})
+            notes.append(f"{path}: {gltf_note(body.rpy_deg)}")
+    made = vehicle(VehicleFile(meshes=(body,)), path)
+    if is_robot(body):
+        notes += [f"{path}: {note}" for note in ground_notes(made.scene.vertices_m)]
+    return replace(made, warnings=(*notes, *made.warnings))
 
 
 def rig_vehicle(rig: Rig) -> Vehicle | None:
