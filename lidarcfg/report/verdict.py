@@ -10,6 +10,7 @@ from lidarcfg.report.text import truncate
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 
 PASS, FAIL = "PASS", "FAIL"
+ROUNDING = 1e-9  # of a margin
 
 
 def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
@@ -163,7 +164,7 @@ def signed(value: float, unit: str) -> str:
     """A margin with its sign and unit."""
     if not math.isfinite(value):
         return "–"
-    return ("+" if value >= 0 else "−") + quantity(abs(value), unit)
+    return ("+" if value > -ROUNDING else "−") + quantity(abs(value), unit)
 
 
 def verdict_text(one: RequirementVerdict) -> str:
