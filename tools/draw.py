@@ -335,6 +335,12 @@ def suburb(path: Path) -> None:
     save(picture(load_scene(ROOT / "data/scenes/suburb.yaml"), camera, road().points_m), path)
 
 
+def depot(path: Path) -> None:
+    """The depot of data/scenes, from above one of its gates."""
+    camera = Camera((-42, -20, 13), (6, 4, 0), 58, (900, 480))
+    save(picture(load_scene(ROOT / "data/scenes/depot.yaml"), camera, np.zeros((1, 2))), path)
+
+
 PICTURES = {
     "subspace": subspace,
     "axes": axes_and_angles,
@@ -342,6 +348,7 @@ PICTURES = {
     "height-field": height_field,
     "makers": makers,
     "suburb": suburb,
+    "depot": depot,
     "terms": terms,
 }
 

@@ -132,7 +132,6 @@ def view() -> None:
         with served("out/roof.pcap", "out/roof.npz", "data/studies/sedan.yaml") as url:
             opened(driver, url)
             click(driver, "#rings")
-            put(driver, "#worst", 1)
             put(driver, "#mount", 0, "change")
             save(shot(driver), "view.png")
         with served("out/curve.pcap") as url:

@@ -81,7 +81,7 @@ def land_m(points_m: Array, path: Road) -> Array:
 def drive(path: Road) -> Array:
     """(N, 8): time, place and quaternion (x, y, z, w) of a car that stands, drives off and slows down for curves."""
     times = np.arange(round(DRIVE_S / EVERY_S) + 1) * EVERY_S
-    along = np.interp(times, *_progress(path))
+    along = np.interp(times, *progress(path))
     places = path.beside(along, LANE_M)
     heading = path.heading(along)
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
@@ -94,10 +94,10 @@ def drive(path: Road) -> Array:
     return np.column_stack([times, places, high.mean(axis=1), turned])
 
 
-def _progress(path: Road) -> tuple[Array, Array]:
-    """Times and how far along the road the car is then."""
+def progress(path: Road, start_m: float = 0.0) -> tuple[Array, Array]:
+    """Times and how far along the road a car is then that stands at `start_m` first."""
     step = 0.1
-    at = np.arange(0, path.length_m - 10, step)
+    at = np.arange(start_m, path.length_m - 10, step)
     bend = np.abs(np.gradient(path.heading(at), step))
     fast = np.minimum(SPEED_M_S, np.sqrt(SIDEWAYS_M_S2 / np.maximum(bend, 1e-6)))
     fast[0] = fast[-1] = 0.05
@@ -106,4 +106,4 @@ def _progress(path: Road) -> tuple[Array, Array]:
             before = fast[i - 1] if order.step > 0 else fast[i + 1]
             fast[i] = min(fast[i], math.sqrt(before**2 + 2 * FORWARD_M_S2 * step))
     times = STAND_S + np.concatenate([[0.0], np.cumsum(2 * step / (fast[1:] + fast[:-1]))])
-    return np.concatenate([[0.0], times]), np.concatenate([[0.0], at])
+    return np.concatenate([[0.0], times]), np.concatenate([[start_m], at])

@@ -230,6 +230,7 @@ def _export_packets(options: ExportOptions, drive: "SceneDrive", rays: RayTally)
     from lidarcfg.capture.pcap import write_pcap
     from lidarcfg.inputs import check_room, format_bytes
     from lidarcfg.simulate.scene_drive import object_names
+    from lidarcfg.world.boxes import lack_of_categories
 
     if options.deskew:
         raise click.UsageError("--deskew is for points; packets stay as a sensor sends them")
@@ -237,6 +238,8 @@ def _export_packets(options: ExportOptions, drive: "SceneDrive", rays: RayTally)
     paths = options.paths(drive.rig)
     if truth and truth.suffix != ".npz":
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
+    if truth and (said := lack_of_categories(drive.scene)) and not options.quiet:
+        warn(said)
     mounts = drive.rig.mounts
     names = [mount.name for mount in mounts]
     size = data_bytes(drive)

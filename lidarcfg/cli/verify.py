@@ -48,8 +48,8 @@ def verify(
         on_progress(0.0, f"reading {study}")
         from lidarcfg.errors import ConfigError
         from lidarcfg.files import replacing
+        from lidarcfg.report.junit import junit as junit_text
         from lidarcfg.report.results import VERIFIED, check_writable, save_verdict, to_json
-        from lidarcfg.report.verdict import junit as junit_text
         from lidarcfg.report.verdict import print_verdict, verdict_dict
         from lidarcfg.requirements.verify import Verifier
         from lidarcfg.sensors.rig import load_rig

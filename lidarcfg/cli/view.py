@@ -110,7 +110,7 @@ def camera_numbers(text: str) -> tuple[float, ...]:
         "--worst",
         type=click.IntRange(0, WORST_MAX),
         metavar="N",
-        help="Show the N worst subspaces, at most 10.  [default: 3, or none where the ground shows what is missed]",
+        help="Show the N worst subspaces, at most 10.  [default: 3, or none beside points or what is missed]",
     ),
     cloup.option(
         "--camera",
@@ -167,9 +167,10 @@ def view(
 
     from lidarcfg.capture.manifest import DriveInputs
     from lidarcfg.capture.selection import Selection
+    from lidarcfg.report.describe import counted
     from lidarcfg.viewer.camera import Camera
     from lidarcfg.viewer.contents import complete_inputs, load_contents
-    from lidarcfg.viewer.page import WORST_SHOWN, page_of, save_html
+    from lidarcfg.viewer.page import page_of, save_html
     from lidarcfg.viewer.still import save_still
     from lidarcfg.viewer.window import show_window
 
@@ -184,9 +185,9 @@ def view(
         )
     count = len(contents.cloud.xyz)
     if png:
-        save_still(contents, png, size, seen_from, colour, WORST_SHOWN if worst is None else worst)
+        save_still(contents, png, size, seen_from, colour, worst)
         if not quiet:
-            click.echo(f"{png}: {count:,} points")
+            click.echo(f"{png}: {counted(count, 'point')}")
     if window:
         show_window(contents, colour)
     if html or not (png or window):
@@ -194,7 +195,7 @@ def view(
         if html:
             save_html(page, html)
             if not quiet:
-                click.echo(f"{html}: {count:,} points, {html.stat().st_size / 1e6:.1f} MB")
+                click.echo(f"{html}: {counted(count, 'point')}, {html.stat().st_size / 1e6:.1f} MB")
         else:
             _serve(contents, page, port, quiet)
 
@@ -203,12 +204,13 @@ def _serve(contents: "Contents", page: "Page", port: int, quiet: bool) -> None:
     """Serve the page until Ctrl-C, and open it where there is a browser with a screen."""
     import webbrowser
 
+    from lidarcfg.report.describe import counted
     from lidarcfg.viewer.server import Server
     from lidarcfg.viewer.window import has_screen
 
     with Server(contents, page, port) as server:
         if not quiet:
-            click.echo(f"{server.url} shows {len(contents.cloud.xyz):,} points; Ctrl-C ends it")
+            click.echo(f"{server.url} shows {counted(len(contents.cloud.xyz), 'point')}; Ctrl-C ends it")
         if has_screen():
             webbrowser.open(server.url)
         server.serve_forever()

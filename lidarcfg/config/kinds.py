@@ -11,7 +11,7 @@ DISCRIMINATING_KEYS = {  # keys that only one kind has; the first kind that matc
     "capture manifest": {"rig", "scene", "duration_s"},
     "plan": {"vary", "together"},
     "study": {"region"},
-    "scenario": {"target"},
+    "scenario": {"target", "impacts", "cars", "speeds_km_h", "before_impact_s", "from_m", "backwards"},
     "trajectory": MOTIONS,
     "scene": {"ground", "weather", "geo_origin", "height_fields", "models", "surfels"},
     "vehicle": {"allow_inside"},
@@ -37,12 +37,6 @@ def a_file_of(kind: str) -> str:
     return f"a file of {kind}" if kind in LISTS else f"a {kind}"
 
 
-def a_thing(value: object) -> str:
-    """The class of a value of Python's with its article."""
-    name = type(value).__name__
-    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
-
-
 def kind_of(values: object) -> str | None:
     """The kind of a file with these values; None if no kind fits."""
     if not isinstance(values, Mapping):
@@ -55,7 +49,7 @@ def kind_of(values: object) -> str | None:
     for kind in LISTS:  # a study, and a rig, may have them, too
         if kind in values:
             return kind
-    if OBJECTS & values.keys():  # the objects of a scene must say what they reflect, and a scene its name
+    if OBJECTS & values.keys():  # of a scene without a ground they are told from a vehicle's bodies by its name
         return "scene" if "name" in values else "vehicle"
     return None
 

@@ -232,6 +232,10 @@ def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bo
 
         return Amount(save_points(output, dataset, deskew), "points")
     if form.name in FOLDERS:
+        from lidarcfg.world.boxes import lack_of_categories
+
+        if said := lack_of_categories(dataset.drive.scene):
+            on_warning(said)
         return Amount(_save_folder(output, form.name, dataset), "scans")
     from lidarcfg.io.bag import dataset_messages, write_bag, write_mcap
 

@@ -7,9 +7,9 @@ best. `canvas` has the style of drawings; `plots` (PNG), `mounts`, `drawings`, `
 is what rigs miss, side by side. `rig_report` is the report of one rig, which begins with its `overview`, `comparison`
 of several, `front` of price against objective, `cheapest` of the combinations searched for the cheapest rig; `repeat`
 is their last section. `results` writes the folder of a search, `search_log` what it goes on from, `sweep` the folder of
-many. A verdict is a table in `verdict` and a page in `verification`, with drawings from `evidence` and `scenario`.
-`printing` and `sensors` print on the terminal, `notebook` is what a notebook shows, and `summaries` says in one line
-what a file is.
+many. A verdict is tables in `verdict`, `junit` for CI, and a page in `verification`, with drawings from `evidence` and
+`scenario`. `printing` and `sensors` print on the terminal, `notebook` is what a notebook shows, and `summaries` says in
+one line what a file is.
 
 `__init__.pyi` lists the names. Each loads its module on first use, so a list of sensors loads no reports.
 """

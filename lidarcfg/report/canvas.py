@@ -15,6 +15,7 @@ from lidarcfg.report.plots import COLOURS, new_figure
 from lidarcfg.report.text import DRAWN, printable, truncate
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.vsr.region import Region
+from lidarcfg.world.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -173,6 +174,15 @@ def shade(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, rgb:
 def shade_excluded(axes: "Axes", region: Region, view: str) -> None:
     """Shade what is excluded from the region."""
     shade(axes, region, region.excluded_lines[hidden(view)], view, EXCLUDED, 0.4)
+
+
+def draw_bodies(axes: "Axes", vehicle: Vehicle, view: str) -> None:
+    """Draw the vehicle's bodies, grey, as far as their own outline reaches."""
+    from matplotlib.collections import PolyCollection
+
+    vertices, triangles = vehicle.scene.mesh()
+    seen = vertices[triangles][:, :, list(VIEWS[view])]
+    axes.add_collection(PolyCollection(list(seen), facecolors="0.75", edgecolors="0.75", lw=0.3, rasterized=True))
 
 
 def outline(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, **style: Any) -> None:

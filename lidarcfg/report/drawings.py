@@ -17,6 +17,7 @@ from lidarcfg.report.canvas import (
     WIDTH_IN,
     colour,
     dashes,
+    draw_bodies,
     draw_values,
     drawing,
     extent,
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
 MAP = "cividis"  # looks the same to colour-blind people
 WORST = "#D55E00"
 OBJECTS_MAX = 12  # that are drawn
+AXIS = 0.12  # a sensor's axis, of the length of the vehicle
 LEGEND_ROW = 0.12  # of the height of bars
 
 
@@ -215,41 +217,58 @@ def _name_outer(grid: Sequence["Axes"]) -> None:
 
 
 def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
-    """The rig from top, side and front: the vehicle or what is excluded, the worst subspace, the sensors' axes."""
+    """The rig from top, side and front with the sensors' axes: on the vehicle, in true proportions; without one in the
+    region, with what it excludes and the worst subspace."""
     from matplotlib.lines import Line2D
 
-    region = study.region
     figure = new_figure(11, 7)
-    grid = figure.add_gridspec(2, 2, width_ratios=(3, 1))
-    for view, place in zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True):
-        axes = figure.add_subplot(place)
-        if study.vehicle:
-            _draw_bodies(axes, view, study.vehicle)
-        else:
-            shade_excluded(axes, region, view)
-        shade(axes, region, found.extents[0].lines[hidden(view)] > 0, view, WORST, 0.45)
-        _draw_axes(axes, view, rig, 0.12 * float(region.max_m[VIEWS[view][1]] - region.min_m[VIEWS[view][1]]))
-        left, right, bottom, top = extent(region, view)
-        axes.set(xlim=(left, right), ylim=(bottom, top))
-        name_axes(axes, view, "" if view == "top" else " (height stretched)")
-    dots = figure.axes[0].lines[: len(rig.mounts)]
+    misses = f"misses {found.misses.mean:.2%}, " if found.misses else ""
+    title = f"{truncate(rig.name)}: {misses}max VSR {found.max_vsr_m:.4f} m"
+    if study.vehicle:
+        _draw_on_vehicle(figure, study.vehicle, rig)
+    else:
+        _draw_in_region(figure, study.region, rig, found)
+        title += "; the worst subspace orange, excluded grey"
+    top = figure.axes[0]
+    dots = top.lines[: len(rig.mounts)]
     named = summarize([label(mount.name) for mount in rig.mounts])
     rest = [Line2D([], [], ls="")] * (len(named) < len(dots))
-    figure.axes[0].legend([*dots[: len(named) - len(rest)], *rest], named, loc="upper right")
-    grey = "the vehicle" if study.vehicle else "excluded"
-    misses = f"misses {found.misses.mean:.2%}, " if found.misses else ""
-    title = f"{truncate(rig.name)}: {misses}max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, {grey} grey"
+    place = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.0)} if study.vehicle else {"loc": "upper right"}
+    legend = top.legend([*dots[: len(named) - len(rest)], *rest], named, **place)
+    legend.set_in_layout(not study.vehicle)  # the corner beside the top is free
     figure.suptitle(title, parse_math=False)
     return figure
 
 
-def _draw_bodies(axes: "Axes", view: str, vehicle: Vehicle) -> None:
-    """The vehicle's bodies, from one side."""
-    from matplotlib.collections import PolyCollection
+def _draw_on_vehicle(figure: "Figure", vehicle: Vehicle, rig: Rig) -> None:
+    """The vehicle and the sensors, in true proportions."""
+    at = np.array([mount.position_m for mount in rig.mounts])
+    places = np.concatenate([vehicle.scene.mesh()[0], at])
+    length = AXIS * float(np.ptp(places, axis=0).max())
+    low = places.min(axis=0) - 1.3 * length
+    high = places.max(axis=0) + 1.3 * length
+    size = high - low
+    grid = figure.add_gridspec(2, 2, width_ratios=(size[0], size[1]), height_ratios=(size[1], size[2]))
+    for view, place in zip(VIEWS, (grid[0, 0], grid[1, 0], grid[1, 1]), strict=True):
+        axes = figure.add_subplot(place)
+        across, up = VIEWS[view]
+        draw_bodies(axes, vehicle, view)
+        _draw_axes(axes, view, rig, length)
+        axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect="equal")
+        name_axes(axes, view)
 
-    vertices, triangles = vehicle.scene.mesh()[:2]
-    seen = vertices[triangles][:, :, list(VIEWS[view])]
-    axes.add_collection(PolyCollection(list(seen), facecolors="0.75", edgecolors="0.75", lw=0.3, rasterized=True))
+
+def _draw_in_region(figure: "Figure", region: Region, rig: Rig, found: Evaluation) -> None:
+    """The region's worst subspace and the sensors; heights are stretched."""
+    grid = figure.add_gridspec(2, 2, width_ratios=(3, 1))
+    for view, place in zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True):
+        axes = figure.add_subplot(place)
+        shade_excluded(axes, region, view)
+        shade(axes, region, found.extents[0].lines[hidden(view)] > 0, view, WORST, 0.45)
+        left, right, bottom, top = extent(region, view)
+        _draw_axes(axes, view, rig, 0.12 * (top - bottom))
+        axes.set(xlim=(left, right), ylim=(bottom, top))
+        name_axes(axes, view, "" if view == "top" else " (height stretched)")
 
 
 def _draw_axes(axes: "Axes", view: str, rig: Rig, length: float) -> None:

@@ -53,6 +53,7 @@ MARGIN_M = 0.4  # around what is drawn
 MAP_IN = 1.8, 6.2  # least and greatest height of a map
 COLUMNS = 4  # of sensors' views in a row
 VIEW_IN = 1.6
+STEEPEST_DEG = 80.0  # elevation of a silhouette's middle, whose proportions are true
 FRAMES_IN = 2.3  # height of a row of plots over time
 BEAMS = {  # as they are drawn: colour, size, mark, words
     BeamOutcome.PASSES: ("0.55", 5.0, ".", "passes"),
@@ -307,7 +308,7 @@ def _draw_view(axes: "Axes", view: SensorView, number: int) -> None:
         style: dict[str, Any] = {"lw": 0.9} if mark in "x+" else {"lw": 0}
         axes.scatter(at[some, 0], at[some, 1], s=size, c=code, marker=mark, rasterized=rasterized, **style)
     axes.set(xlim=(high[0] + margin[0], low[0] - margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
-    axes.set_aspect("equal")
+    axes.set_aspect(1 / math.cos(math.radians(min(abs(low[1] + high[1]) / 2, STEEPEST_DEG))))  # a degree of azimuth
     gone = ", lost" if view.lost else ""
     axes.set_title(f"{label(view.name, 18)}: {beams.returns}{gone}", color=colour(number), fontsize=8)
     axes.tick_params(labelsize=7)

@@ -12,6 +12,7 @@ from lidarcfg.report.canvas import (
     VIEWS,
     WIDTH_IN,
     colour,
+    draw_bodies,
     drawing,
     fractions,
     height_in,
@@ -39,8 +40,8 @@ HALO_PT = 2.5  # around numbers, which may lie on green
 PIXELS = 500  # along the longer edge of the picture of a body
 FROM_BEHIND = ("left", "rear")  # sides from which the horizontal axis points to the left
 MOUNTS_CAPTION = (
-    "The sensors by number. Arrows: their axes, towards the sensor's top. Dashed: the study's bounds. Grey: excluded "
-    "from the region."
+    "The sensors by number. Arrows: their axes, towards the sensor's top. Dashed: the study's bounds. Grey: the "
+    "vehicle, or without one what is excluded from the region."
 )
 Bounds = dict[str, tuple[Array, Array]]  # by sensor: least and greatest position
 
@@ -58,7 +59,8 @@ def draw_mounts(study: Study, rig: Rig) -> Markup:
     drawn = [np.stack(bounds[mount.name]) for mount in rig.mounts if mount.name in bounds]
     span = max(float(np.ptp(np.concatenate([at, *drawn]), axis=0).max()), 1.0)
     tips = at + 0.25 * span * np.array([lidar.axis for lidar in lidars])
-    low, high = _frame(np.concatenate([at, tips, *drawn]), span, float(study.region.min_m[2]))
+    bodies = [study.vehicle.scene.mesh()[0]] if study.vehicle else []
+    low, high = _frame(np.concatenate([at, tips, *drawn, *bodies]), span, float(study.region.min_m[2]))
     size = high - low
 
     def draw(figure: "Figure") -> None:
@@ -69,7 +71,10 @@ def draw_mounts(study: Study, rig: Rig) -> Markup:
         drawn = {view: figure.add_subplot(place) for view, place in views.items()}
         for view, axes in drawn.items():
             across, up = VIEWS[view]
-            shade_excluded(axes, study.region, view)
+            if study.vehicle:
+                draw_bodies(axes, study.vehicle, view)
+            else:
+                shade_excluded(axes, study.region, view)
             axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect="equal")
             for i, mount in enumerate(rig.mounts):
                 _draw_mount(axes, view, i, bounds.get(mount.name), at[i], tips[i])

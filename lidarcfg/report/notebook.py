@@ -9,6 +9,7 @@ from lidarcfg.report.comparison import Comparison, comparison_table
 from lidarcfg.report.evaluation import bounds_table, mounts_table
 from lidarcfg.report.misses import PLAIN, THIS, SeenBy, draw_misses, misses_table
 from lidarcfg.report.page import Part, fragment
+from lidarcfg.report.verdict import speeds_tables
 from lidarcfg.report.verification import verdict_of
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.returns.misses import MissesFound
@@ -41,7 +42,7 @@ def _(shown: Rig) -> str:
 
 @html.register
 def _(shown: Verdict) -> str:
-    return verdict_of(shown)
+    return fragment([verdict_of(shown), *speeds_tables(shown)])
 
 
 @html.register
@@ -74,6 +75,7 @@ def _(shown: Comparison) -> str:
 def _evaluation(found: Evaluation, rig: Rig, beside: Sequence[SeenBy] = ()) -> Iterator[Part]:
     if found.verdict:
         yield verdict_of(found.verdict)
+        yield from speeds_tables(found.verdict)
     if found.misses:
         vehicle = rig_vehicle(rig)
         yield from _misses([SeenBy(THIS, rig, found.misses), *beside], vehicle.footprint if vehicle else None)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS = 3
-LEAST_SHOWN = 0.5  # of a return, on the logarithmic axis: none
+NONE = 0.5  # where the logarithmic axis has no returns
 
 
 def draw_scenario(found: ScenarioResult) -> "Figure":
@@ -32,6 +32,7 @@ def draw_scenario(found: ScenarioResult) -> "Figure":
     figure = new_figure(3.6 * min(len(found.cases), COLUMNS), 2.6 * scenario_rows(found) + 0.7)
     draw_scenario_on(figure, found)
     figure.suptitle(found.scenario.name, parse_math=False)
+    figure.draw_without_rendering()  # a layout is whole the second time, with the sizes of all labels
     return figure
 
 
@@ -44,9 +45,11 @@ def draw_scenario_on(figure: "Figure", found: ScenarioResult) -> None:
     """The plot on a figure."""
     rows = scenario_rows(found)
     columns = min(len(found.cases), COLUMNS)
+    most = max(run.returns.max(initial=found.rule.returns) for case in found.cases for run in case.runs)
     for number, case in enumerate(found.cases):
         axes = figure.add_subplot(rows, columns, number + 1)
         _draw_case(axes, found, case)
+        _count_axis(axes, int(most))
         if number % COLUMNS == 0:
             axes.set_ylabel("returns in a frame")
         if number >= len(found.cases) - columns:
@@ -56,11 +59,18 @@ def draw_scenario_on(figure: "Figure", found: ScenarioResult) -> None:
     figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=3, fontsize=8)
 
 
+def _count_axis(axes: "Axes", most: int) -> None:
+    """The axis of returns, logarithmic, with a place for none; the same in all axes."""
+    powers = [10**n for n in range(len(str(most)))]
+    axes.set(yscale="log", ylim=(0.8 * NONE, 1.6 * most))
+    axes.set_yticks([NONE, *powers], ["0", *(f"{power:,}" for power in powers)])
+
+
 def _draw_case(axes: "Axes", found: ScenarioResult, case: ScenarioCase) -> None:
     worst = case.worst
     for run in case.runs:
         before_s = run.approach.lead_s - run.frame_end_s
-        returns = np.maximum(run.returns, LEAST_SHOWN)
+        returns = np.maximum(run.returns, NONE)
         if run is worst:
             axes.plot(before_s, returns, color=COLOURS[0], marker="o", ms=3, label="worst run", zorder=3)
         else:
@@ -72,10 +82,10 @@ def _draw_case(axes: "Axes", found: ScenarioResult, case: ScenarioCase) -> None:
     if case.sight_margin_s is not None:
         axes.axvline(worst.needed_s + case.sight_margin_s, color=COLOURS[1], ls="-.", label="earliest line of sight")
     left_s = max(2 * worst.needed_s, worst.needed_s + worst.margin_s, worst.needed_s + (case.sight_margin_s or 0.0))
-    axes.set(xlim=(min(1.1 * left_s, worst.approach.lead_s), 0.0), yscale="log", ylim=(LEAST_SHOWN, None))
-    axes.yaxis.set_major_formatter("{x:g}")
-    where = f", {case.impact:.0%}" if len(found.scenario.file.impacts) > 1 else ""
-    axes.set_title(f"{case.speed_km_h:g} km/h{where}: {worst.margin_s:+.2f} s", fontsize=9)
+    axes.set_xlim(min(1.1 * left_s, 1.02 * case.runs[0].approach.lead_s), 0.0)  # the first run is the longest
+    margin_m = worst.approach.closing_m_s * worst.margin_s
+    where = f", hit at {case.impact:.0%}" if len(found.scenario.file.impacts) > 1 else ""
+    axes.set_title(f"{case.speed_km_h:g} km/h{where}: {worst.margin_s:+.2f} s, {margin_m:+.1f} m", fontsize=9)
     axes.grid(alpha=0.3)
 
 

@@ -1,9 +1,8 @@
-"""A verdict as a table, on the terminal, and as JSON and JUnit XML, alone or beside another rig's."""
+"""A verdict as tables, on the terminal, and as JSON, alone or beside another rig's."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
-from xml.sax.saxutils import escape, quoteattr
 
 from lidarcfg.report.table import Cell, Column, Table, named
 from lidarcfg.report.terminal import print_table, terminal
@@ -30,7 +29,7 @@ def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
     rows = [
         [
             named(one.name),
-            Cell(one.passed, PASS, mark="pass") if one.passed else Cell(one.passed, FAIL, mark="fail"),
+            _passed(one.passed),
             Cell(one.demanded, demanded(one)),
             Cell(one.reached, quantity(one.reached, one.unit)),
             Cell(one.margin, signed(one.margin, one.unit)),
@@ -52,8 +51,60 @@ def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
     """
     table = verdict_table(found, against)
     print_table(table.without("heading", "from body", "phases there") if against else table)
-    for line in [*remarks(found), conclusion(found)]:
+    for one in speeds_tables(found, against):
+        terminal().print(f"{one.caption}:")
+        print_table(one)
+    for line in [*remarks(found, against), conclusion(found)]:
         terminal().print(line)
+
+
+def speeds_table(one: RequirementVerdict, other: RequirementVerdict | None = None) -> Table:
+    """A row for each speed of a scenario, as JSON has them. `other`: the verdict on another rig, shown beside it."""
+    assert one.speeds
+    records = one.speeds.to_dict()["tested"]
+    others = other.speeds.to_dict()["tested"] if other and other.speeds else []
+    columns = [
+        Column("km/h", "g", key="speed_km_h"),
+        *([Column("hit at", ".0%", key="impact")] if len({record["impact"] for record in records}) > 1 else []),
+        Column("in sight", ".1f", "m", key="sight_m"),
+        Column("seen", ".1f", "m", key="seen_m"),
+        Column("needed", ".1f", "m", key="needed_m"),
+        Column("margin", "+.1f", "m", key="margin_m"),
+        Column("margin", "+.2f", "s", key="margin_s"),
+        Column("verdict", key="pass"),
+        *([Column("other's", "+.1f", "m"), Column("change", "+.1f", "m")] if others else []),
+        *([Column("why", key="why")] if any(record["why"] for record in records) else []),
+        *([Column("sensors lost", key="lost")] if any(record["lost"] for record in records) else []),
+    ]
+    for record, beside in zip(records, others, strict=bool(others)):
+        record["other's"] = beside["margin_m"]
+        record["change"] = record["margin_m"] - beside["margin_m"]
+    caption = (
+        f"{truncate(one.name)}, in metres before the impact: in sight from the best place within the sensors' bounds, "
+        "seen by the rig, and needed to brake; nothing is known of speeds between"
+    )
+    return Table(caption, columns, [[_at_speed(record, *column.keys) for column in columns] for record in records])
+
+
+def _at_speed(record: Mapping[str, Any], key: str) -> Cell:
+    """A value of a record of a speed."""
+    value = record[key]
+    if key == "pass":
+        return _passed(value)
+    if key in ("sight_m", "seen_m") and value is None:
+        return Cell(None, "never")
+    return Cell(value, ", ".join(map(truncate, value)) if key == "lost" else None)
+
+
+def speeds_tables(found: Verdict, against: Verdict | None = None) -> list[Table]:
+    """The tables by speed of all scenarios."""
+    others = against.requirements if against else [None] * len(found.requirements)
+    pairs = zip(found.requirements, others, strict=True)
+    return [speeds_table(one, other) for one, other in pairs if one.speeds]
+
+
+def _passed(passed: bool) -> Cell:
+    return Cell(passed, PASS, mark="pass") if passed else Cell(passed, FAIL, mark="fail")
 
 
 def conclusion(found: Verdict) -> str:
@@ -65,11 +116,15 @@ def conclusion(found: Verdict) -> str:
     return f"{FAIL}: {failed} of {count} requirement{'s' * (count > 1)} {'is' if failed == 1 else 'are'} not met"
 
 
-def remarks(found: Verdict) -> list[str]:
+def remarks(found: Verdict, against: Verdict | None = None) -> list[str]:
     """The notes on a requirement that its row of the table does not hold."""
     out = []
-    for one in found.requirements:
+    for n, one in enumerate(found.requirements):
         texts = list(one.notes)
+        if one.speeds:
+            texts.insert(0, one.speeds.text)
+        if against and (other := against.requirements[n].speeds):
+            texts.insert(1, f"the other rig: {other.text}")
         if one.passed and one.breaking:
             texts.append(f"fails without any one of {', '.join(map(truncate, one.breaking))}")
         if one.not_achievable:
@@ -145,40 +200,6 @@ def compared(one: RequirementVerdict, other: RequirementVerdict) -> list[Cell]:
     else:
         word = "the same" if change == 0 else f"{signed(change, one.unit)} {'better' if change > 0 else 'worse'}"
     return [Cell(other.margin, verdict_text(other)), Cell(change, word)]
-
-
-def junit(found: Verdict, name: str) -> str:
-    """The verdict as JUnit XML, which CI servers read: a test case for each requirement."""
-    failed = sum(not one.passed for one in found.requirements)
-    counts = f'tests="{len(found.requirements)}" failures="{failed}" errors="0" skipped="0"'
-    lines = ['<?xml version="1.0" encoding="utf-8"?>', "<testsuites>", f"  <testsuite name={_quoted(name)} {counts}>"]
-    for one in found.requirements:
-        said = f"demanded {'at most' if one.at_most else 'at least'} {quantity(one.demanded, one.unit)}"
-        said += f", reached {quantity(one.reached, one.unit)}"
-        details = [said, worst_place(one), f"sensors lost there: {', '.join(one.lost)}" if one.lost else ""]
-        details += [f"fails without any one of {', '.join(one.breaking)}" if one.passed and one.breaking else ""]
-        details += [*one.notes, one.sampling.text if one.sampling else "", one.not_achievable or ""]
-        text = escape(xml_text("\n".join(line for line in details if line)))
-        lines.append(f'    <testcase classname="requirements" name={_quoted(one.name)}>')
-        if one.passed:
-            lines.append(f"      <system-out>{text}</system-out>")
-        else:
-            lines.append(f'      <failure message={_quoted(said)} type="requirement">{text}</failure>')
-        lines.append("    </testcase>")
-    return "\n".join([*lines, "  </testsuite>", "</testsuites>", ""])
-
-
-def _quoted(text: str) -> str:
-    """A text as an attribute's value."""
-    return quoteattr(xml_text(text))
-
-
-def xml_text(text: str) -> str:
-    """A text without the characters that XML 1.0 cannot hold."""
-    return "".join(
-        c if c in "\t\n\r" or " " <= c <= "\ud7ff" or "\ue000" <= c <= "\ufffd" or c > "\uffff" else "\ufffd"
-        for c in text
-    )
 
 
 def verdict_dict(found: Verdict, against: Verdict | None = None, names: Sequence[str] = ()) -> dict[str, object]:

@@ -23,6 +23,7 @@ from lidarcfg.report.verdict import (
     quantity,
     remarks,
     signed,
+    speeds_table,
     verdict_table,
     worst_place,
 )
@@ -36,14 +37,19 @@ from lidarcfg.study.study import Study
 
 def verdict_of(found: Verdict, against: Verdict | None = None) -> Markup:
     """The verdict at the top of a page; `against`: the verdict on another rig, shown beside it."""
-    return verdict_box(found.passed, conclusion(found), verdict_table(found, against), remarks(found))
+    return verdict_box(found.passed, conclusion(found), verdict_table(found, against), remarks(found, against))
 
 
-def requirement_parts(found: Verification, rig: Rig) -> Iterator[Part]:
-    """What is demanded and reached, requirement by requirement, with the evidence."""
+def requirement_parts(found: Verification, rig: Rig, against: Verdict | None = None) -> Iterator[Part]:
+    """What is demanded and reached, requirement by requirement, with the evidence.
+
+    `against`: the verdict on another rig, whose margins by speed stand beside.
+    """
     for n, one in enumerate(found.evidence, 1):
         yield heading(f"{PASS if one.verdict.passed else FAIL}: {truncate(one.verdict.name)}")
         yield sentence(one.verdict)
+        if one.verdict.speeds:
+            yield speeds_table(one.verdict, against.requirements[n - 1] if against else None)
         yield figure(draw_map(one, rig, n), map_caption(one))
         yield figure(
             draw_frames(one, n),
@@ -97,13 +103,14 @@ def verdict_page(
         "Counts are the simulator's, without noise: beams of one revolution, each sensor in its worst phase, also with "
         "sensors lost where the requirement asks for it."
     )
+    parts = requirement_parts(found, rig, against)
     drawn = figure(draw_mounts(study, rig), MOUNTS_CAPTION)
     files = {"The complete study, with defaults": study.file, "The rig as a file": rig_to_dict(rig)}
     return page(
         f"Verdict: {rig.name}",
         f"{describe_rig(rig)} in the study {study.name}; verified by lidarcfg {__version__} on {date()}",
         [
-            PageSection("requirements", "Requirement by requirement", [counts, *requirement_parts(found, rig)]),
+            PageSection("requirements", "Requirement by requirement", [counts, *parts]),
             PageSection("rig", "The rig", [mounts_table(rig), drawn]),
             repeat_section("verdict", files, command),
         ],

@@ -15,9 +15,10 @@ A search asks the same judges, by `shortfalls`: `Judge.bounds` says soon that a 
 To read in this order: `kind` is the protocol of a kind of requirement, `judge` that of a requirement and its judge.
 `object`, `post`, `shadow`, `price` and `sensor_count` are a kind each, `scenarios` a folder with one; the judge of an
 object is in `object_judge`. `file` reads requirements and has the table of kinds, `resolved` has those of a study.
-`verify` judges a rig by all of them, `verdict` is the result and `evidence` what shows it. `shortfalls` judges many
-rigs, for searches. Kinds share `robustness`, the failures and mounting errors that a rig must withstand, and
-`allowed_rigs`, what all rigs of a study can reach. What is reached at places is counted in `lidarcfg.returns`.
+`verify` judges a rig by all of them, `verdict` is the result, with a scenario's `speeds`, and `evidence` what shows it.
+`shortfalls` judges many rigs, for searches. Kinds share `robustness`, the failures and mounting errors that a rig must
+withstand, and `allowed_rigs`, what all rigs of a study can reach. What is reached at places is counted in
+`lidarcfg.returns`.
 """
 
 import lazy_loader

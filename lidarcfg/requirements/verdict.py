@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from lidarcfg.notebook import Shown
+from lidarcfg.requirements.speeds import SpeedVerdicts
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,7 @@ class RequirementVerdict:
     breaking: tuple[str, ...] = ()  # sensors whose failure, each alone, breaks the requirement
     fraction: float | None = None  # of places at which the demand is met, where a fraction is asked for
     sampling: Sampling | None = None
+    speeds: SpeedVerdicts | None = None  # of a scenario
     notes: tuple[str, ...] = ()
     not_achievable: str | None = None  # why no rig within the bounds can meet it
 
@@ -115,6 +117,7 @@ class RequirementVerdict:
             "breaking": list(self.breaking),
             "fraction": self.fraction,
             "sampling": self.sampling and self.sampling.to_dict(),
+            "speeds": self.speeds and self.speeds.to_dict(),
             "notes": list(self.notes),
             "not_achievable": self.not_achievable,
         }
@@ -140,6 +143,10 @@ class Verdict(Shown):
     """Whether a rig meets all requirements of a study."""
 
     requirements: tuple[RequirementVerdict, ...]
+
+    def __repr__(self) -> str:
+        met = sum(one.passed for one in self.requirements)
+        return f"<Verdict {'PASS' if self.passed else 'FAIL'}: {met} of {len(self.requirements)} requirements are met>"
 
     @property
     def passed(self) -> bool:

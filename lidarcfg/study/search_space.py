@@ -133,7 +133,7 @@ class SearchSpace:
             total += np.maximum(least_m - apart, 0.0)
         total += violation([slot.surface for slot in self.slots], poses)
         if self.vehicle and not self.vehicle.allow_inside:
-            total += self.vehicle.depth_m(poses[..., :3].reshape(-1, 3)).reshape(len(poses), -1).sum(axis=1)
+            total += self.vehicle.depth_m(poses[..., :3].reshape(-1, 3)).reshape(poses.shape[:2]).sum(axis=1)
         return total
 
     @cached_property

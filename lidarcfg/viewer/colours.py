@@ -40,8 +40,10 @@ DIFFUSE = 100  # intensities up to here are diffuse, in per cent
 
 
 def colour(index: int) -> str:
-    """The colour of sensor or object number `index`."""
-    return BRIGHT[index % len(BRIGHT)]
+    """The colour of sensor or object number `index`: after all of BRIGHT they come paler, and then darker."""
+    share, ground = ((0.0, 0.0), (0.45, 255.0), (0.45, 0.0))[index // len(BRIGHT) % 3]
+    mixed = (1 - share) * rgb([BRIGHT[index % len(BRIGHT)]])[0] + share * ground
+    return "#{:02X}{:02X}{:02X}".format(*mixed.round().astype(int))
 
 
 def rgb(colours: Sequence[str]) -> NDArray[np.uint8]:

@@ -13,7 +13,7 @@ from lidarcfg.viewer.bodies import packed_quads
 
 PLACES = 1024  # of each object: the first of the fresh ones, which no search has seen
 STEPS = 16  # of the square root of a share, each with a colour of its own
-RAISED_M = 0.02  # above the ground
+BELOW_M = 0.05  # the ground, so that points on it are seen
 CORNERS = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
 
 
@@ -43,7 +43,7 @@ def _squares(cells: MissedMap, ground_m: float) -> list[dict[str, Any]]:
     out = []
     for one in np.unique(step[step > 0]):
         at = cells.low_m + cells.side_m * (np.argwhere(step == one)[:, None] + CORNERS)
-        faces_m: Array = np.concatenate([at, np.full((*at.shape[:2], 1), ground_m + RAISED_M)], axis=2)
+        faces_m: Array = np.concatenate([at, np.full((*at.shape[:2], 1), ground_m - BELOW_M)], axis=2)
         red, green, blue = colours(np.array([(one / STEPS) ** 2]))[0].tolist()
         out.append({"colour": f"#{red:02x}{green:02x}{blue:02x}", "mesh": packed_quads(faces_m)})
     return out

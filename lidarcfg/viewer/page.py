@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from lidarcfg import __version__
@@ -29,7 +30,7 @@ from lidarcfg.viewer.evaluation import evaluations
 from lidarcfg.viewer.evaluation import verdict as verdict_on
 from lidarcfg.viewer.missed import MissCounter
 from lidarcfg.viewer.mounting import has_its_sensors, mirrored_pairs, surface_mounts
-from lidarcfg.viewer.still import GROUND_M
+from lidarcfg.viewer.still import GROUND_M, WORST_SHOWN
 from lidarcfg.viewer.timeline import Timeline, parts, timeline, tracks
 
 ASSETS = Path(__file__).parent / "web"
@@ -42,9 +43,10 @@ MODULES = {"three": "vendor/three.js"} | {
 }
 BINS = 256  # of time: in each the points are in random order, so that a part of it is a fair sample
 SURROUNDINGS_M = 40.0  # shown around the vehicle in a scene
-MISSED_M = 10.0  # shown around the vehicle where the ground shows what is missed
-WORST_SHOWN = 3  # of the worst subspaces
-ALONE_M = 4.0  # shown around sensors without anything else
+MISSED_M = 4.0  # shown around the vehicle where the ground shows what is missed
+NEAR_PERCENT = 40.0  # of the points, nearest to the sensors, that are shown: walls of a room stay behind the camera
+MOST_PERCENT = 70.0  # of the points of a cloud without a rig
+ALONE_M = 1.5  # shown around sensors without anything else
 SIDES = np.array(list(np.ndindex(3, 3, 3))) - 1.0  # to look for outermost places
 PIECE = 3 << 22  # bytes of an array in one script of a standalone file
 
@@ -62,15 +64,15 @@ def page_of(
 ) -> Page:
     """All that the page shows; if it is served it asks for detection rates and the verdict itself.
 
-    So many of the `worst` subspaces are shown first: 3, or none where the ground shows what is missed.
+    So many of the `worst` subspaces are shown first; by default none where there are points, or where the ground shows
+    what is missed.
     Raises CloudError if there is nothing to show, or the colour is unknown.
     """
     if not (len(contents.cloud.xyz) or contents.rigs or contents.study or contents.scenes):
         raise CloudError("the cloud is empty; there is nothing to show")
     if by == "object" and contents.objects is None:
         raise CloudError("objects are known only from ground truth; give the .npz of export --truth, too")
-    if worst is None:
-        worst = 0 if _shows_misses(contents) else WORST_SHOWN
+    shown_worst = _shown_worst(contents) if worst is None else worst
     line = timeline(contents)
     points, arrays = _points(contents, line) if line and len(contents.cloud.xyz) else (None, {})
     if line:
@@ -81,10 +83,11 @@ def page_of(
     about = {
         "version": __version__,
         "by": by,
-        "worst": worst,
+        "worst": shown_worst or WORST_SHOWN,
+        "shows_worst": shown_worst > 0,
         "camera": camera
         and {"eye_m": camera.eye_m.tolist(), "target_m": camera.target_m.tolist(), "field_deg": camera.field_deg},
-        "opening": _opening(contents, shown[0], worst).tolist(),
+        "opening": _opening(contents, shown[0], shown_worst).tolist(),
         "colours": {
             "background": colours.NIGHT,
             "scale": list(colours.SCALE),
@@ -245,12 +248,14 @@ def _opening(contents: Contents, found: dict[str, Any] | None, worst: int) -> Ar
     if contents.study and found:
         corners += [_corners(body["mesh"]) for body in found["worst"][:worst]]
         if not worst and contents.study.body:
-            corners.append(np.append(contents.study.body.middle_m, _ground_m(contents)) + MISSED_M * SIDES * (1, 1, 0))
+            around = shapely.get_coordinates(contents.study.body.shape.buffer(MISSED_M))
+            corners.append(np.column_stack([around, np.full(len(around), _ground_m(contents))]))
     elif len(contents.cloud.xyz):
         some = contents.cloud.xyz[:: max(len(contents.cloud.xyz) // 10_000, 1)]
         middle = corners[0].mean(axis=0) if len(corners[0]) else np.median(some, axis=0)
         away = np.linalg.norm(some - middle, axis=1)
-        corners.append(some[away <= np.clip(np.percentile(away, 70), 2.0, 60.0)])
+        share = NEAR_PERCENT if contents.rigs else MOST_PERCENT
+        corners.append(some[away <= np.clip(np.percentile(away, share), 2.0, 60.0)])
     elif contents.scenes or not len(corners[0]):
         corners.append(SIDES * (SURROUNDINGS_M, SURROUNDINGS_M, 0))
     else:
@@ -292,10 +297,11 @@ def _counts_misses(study: Study, rig: Rig) -> bool:
         return False
 
 
-def _shows_misses(contents: Contents) -> bool:
-    """Whether the page opens with what is missed on the ground: beside points it would hide them."""
+def _shown_worst(contents: Contents) -> int:
+    """How many of the worst subspaces the page opens with: none where they would hide points, or what is missed."""
     study = contents.study
-    return study is not None and not len(contents.cloud.xyz) and _counts_misses(study, contents.rigs[0])
+    covered = len(contents.cloud.xyz) or (study and _counts_misses(study, contents.rigs[0]))
+    return 0 if covered else WORST_SHOWN
 
 
 def _study(study: Study, rig: Rig) -> dict[str, Any]:
@@ -306,7 +312,7 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         "max_m": study.region.max_m.tolist(),
         "cuboid_m": study.region.cuboid_m.tolist(),
         "cuboids": int(study.region.included.sum()),
-        "excluded": packed_quads(faces(study.region, ~study.region.included)),
+        "excluded": None if study.vehicle else packed_quads(faces(study.region, ~study.region.included)),
         "bounds": [
             {"min_m": low[:3].tolist(), "max_m": high[:3].tolist()}
             for low, high, mirror in zip(study.space.lower, study.space.upper, study.space.mirror, strict=True)

@@ -12,6 +12,7 @@ from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.inputs import check_memory
 from lidarcfg.report.canvas import spread
+from lidarcfg.report.describe import counted
 from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.viewer.bodies import RigScore, base_area_m, base_discs_m, region_bodies, score
@@ -38,11 +39,12 @@ from lidarcfg.viewer.colours import (
 from lidarcfg.viewer.contents import Contents
 from lidarcfg.viewer.mounting import has_its_sensors
 from lidarcfg.viewer.timeline import mesh_at
+from lidarcfg.world.meshes import Mesh
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SIZE = (1920, 1080)
+SIZE: tuple[int, int] = (1920, 1080)
 PIXEL_BYTES = 22  # of memory to draw one, measured
 LETTER = 0.62  # the mean width of a letter in sizes of its text
 LINE = 1.3  # the height of a line
@@ -54,9 +56,17 @@ AXIS_M = 0.6
 BASE_AHEAD_M = 0.5  # before the triangles of the body that a sensor sits on
 Bodies = list[tuple[Array, str]]  # faces (F, 4, 3) and colour
 AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
-PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the rest is the view from above
-ABOVE = (0.04, 0.055, 0.95, 0.35)  # the left, bottom, width and height of the view from above in such a picture
-LABELS_EM = 6.0  # at its left, where that is more
+LABELS_EM = 6.0  # at the left of the view from above, at least
+REACH_M = 48.0  # of the view from above, to each side of the center at most
+LEAST_M = 4.0  # across it
+EYE_M = np.array([-21.0, -7.0, 7.5])  # from the center, and of the target, where the view from above reaches NEAR_EYE_M
+TARGET_M = np.array([8.0, 0.5, 0.5])
+NEAR_EYE_M = 24.0  # half its length; where it is shorter, the eye is nearer in proportion
+NEAREST = 0.2  # at most so much
+DENSE = 200_000  # points in the view from above, of which each is a pixel; fewer are larger
+LARGEST_PX = 4
+MARGIN = 1.06  # around what the view from above shows
+WORST_SHOWN = 3  # of the worst subspaces, where they hide no points
 
 
 def save_still(
@@ -65,10 +75,11 @@ def save_still(
     size: tuple[int, int] = SIZE,
     camera: Camera | None = None,
     by: By = "sensor",
-    worst: int = 1,
+    worst: int | None = None,
 ) -> None:
     """Draw what was loaded as a PNG of `size` pixels, from the camera; or without one in perspective and from above.
 
+    So many of the `worst` subspaces are drawn; by default 3, or none where there are points.
     Raises CloudError if there is nothing to draw, or nothing in view; LidarcfgError where memory
     does not hold the picture.
     """
@@ -81,6 +92,8 @@ def save_still(
     width, height = size
     check_memory(f"a picture of {width} x {height} pixels", PIXEL_BYTES * width * height)
     colours = point_colours(contents, by)
+    if worst is None:
+        worst = 0 if len(contents.cloud.xyz) else WORST_SHOWN
     found = score(contents.study, contents.rigs[0], worst) if contents.study else None
     bodies = region_bodies(contents.study, found) if contents.study and found else []
     figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor="none")  # lines and labels only
@@ -90,17 +103,15 @@ def save_still(
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         _draw_perspective(axes, pixels, contents, colours, camera, bodies)
     else:
-        center, reach_m = _center(contents)
-        axes = figure.add_axes((0.0, 1 - PERSPECTIVE_FRACTION, 1.0, PERSPECTIVE_FRACTION))
-        camera = Camera(center + np.array([-21.0, -7.0, 7.5]), center + np.array([8.0, 0.5, 0.5]), 74.0)
-        _draw_perspective(axes, pixels[: round(height * PERSPECTIVE_FRACTION)], contents, colours, camera, bodies)
-        left, bottom, wide, high = np.round(np.multiply(ABOVE, (width, height, width, height))).astype(int)
-        more = min(max(round(LABELS_EM * _text_pt(height) * 100 / 72) - left, 0), wide // 2)
-        left += more
-        wide -= more
-        above = pixels[height - bottom - high : height - bottom, left : left + wide]
-        place = left / width, bottom / height, wide / width, high / height
-        _draw_above(figure.add_axes(place), above, contents, colours, center, reach_m, height, bodies)
+        center = _center(contents)
+        frame = _frame(contents, center)
+        ahead, above = _layout(width, height, frame)
+        nearer = np.clip((frame[1] - frame[0]).max() / (2 * NEAR_EYE_M), NEAREST, 1.0)
+        camera = Camera(center + nearer * EYE_M, center + nearer * TARGET_M, 74.0)
+        axes = figure.add_axes(ahead.of(width, height))
+        _draw_perspective(axes, ahead.within(pixels), contents, colours, camera, bodies)
+        below = figure.add_axes(above.of(width, height))
+        _draw_above(below, above.within(pixels), contents, colours, frame, height, bodies)
     _legend(axes, contents, by, height, found)
     drawn, _ = canvas.print_to_buffer()  # RGBA
     _blend(np.frombuffer(drawn, np.uint8).reshape(height, width, 4), pixels)
@@ -126,8 +137,8 @@ def _mounts(contents: Contents) -> list[Mount]:
     return [mount for rig in contents.rigs for mount in rig.mounts]
 
 
-def _center(contents: Contents) -> tuple[Array, float]:
-    """(3,) the picture's center on the ground, by the sensors or else the points; and how much to show to each side."""
+def _center(contents: Contents) -> Array:
+    """(3,) the picture's center on the ground, by the sensors or else the points."""
     low = [float(np.percentile(contents.cloud.xyz[:, 2], 5))] if len(contents.cloud.xyz) else []
     if contents.study:
         low.append(float(contents.study.region.min_m[2]))
@@ -140,7 +151,74 @@ def _center(contents: Contents) -> tuple[Array, float]:
         about = (contents.study.region.min_m + contents.study.region.max_m) / 2
     else:
         about = np.zeros(3)
-    return np.array([about[0], about[1], min(low, default=0.0)]), 48.0
+    return np.array([about[0], about[1], min(low, default=0.0)])
+
+
+def _frame(contents: Contents, center: Array) -> Array:
+    """(2, 2) the lower and the upper corner of what a view from above shows: all but a few of the points, and what
+    else there is, within REACH_M of the center."""
+    parts = [np.array([mount.position_m[:2] for mount in _mounts(contents)]).reshape(-1, 2)]
+    near = contents.cloud.xyz[(abs(contents.cloud.xyz - center)[:, :2] <= REACH_M).all(axis=1), :2]
+    if len(near):
+        parts.append(np.percentile(near, (1, 99), axis=0))
+    if contents.vehicle:
+        parts.append(contents.vehicle.scene.mesh()[0][:, :2])
+    if contents.study:
+        parts.append(np.array([contents.study.region.min_m[:2], contents.study.region.max_m[:2]]))
+    if not len(contents.cloud.xyz):
+        parts += [vertices[:, :2] for vertices, _ in _scenery(contents)]
+    places = np.clip(np.concatenate([center[None, :2], *parts]), center[:2] - REACH_M, center[:2] + REACH_M)
+    low = places.min(axis=0)
+    high = places.max(axis=0)
+    half = np.maximum(MARGIN * (high - low), LEAST_M) / 2
+    return np.array([(low + high) / 2 - half, (low + high) / 2 + half])
+
+
+class Pane(NamedTuple):
+    """A part of a picture, in pixels from its left and its bottom."""
+
+    left: int
+    bottom: int
+    width: int
+    height: int
+
+    def of(self, width: int, height: int) -> tuple[float, float, float, float]:
+        """The part as fractions of the picture's size."""
+        return self.left / width, self.bottom / height, self.width / width, self.height / height
+
+    def within(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Its pixels, of those of the picture (H, W, 3)."""
+        top = len(pixels) - self.bottom - self.height
+        return pixels[top : top + self.height, self.left : self.left + self.width]
+
+
+def _layout(width: int, height: int, frame: Array) -> tuple[Pane, Pane]:
+    """Where the perspective is, and below or beside it, where it is larger, the view from above of a frame (2, 2)."""
+    labels = round(LABELS_EM * _text_pt(height) * 100 / 72)
+    margin = round(0.01 * width)
+    bottom = round(0.055 * height)
+    layouts = []
+    for wide, high in ((1.0, 0.58), (0.52, 1.0)):  # of the perspective, as fractions of the picture
+        ahead = Pane(0, height - round(high * height), round(wide * width), round(high * height))
+        before = ahead.width if wide < 1 else 0
+        left = before + min(max(labels, round(0.04 * width)), (width - before) // 2)
+        above_height = (ahead.bottom or height) - bottom - margin
+        layouts.append((ahead, Pane(left, bottom, max(width - margin - left, 1), max(above_height, 1))))
+    return max(layouts, key=lambda layout: _scale(layout[1].width, layout[1].height, frame))
+
+
+def _scale(width: int, height: int, frame: Array) -> float:
+    """Pixels a metre of a frame (2, 2) that fits into so many."""
+    return float(np.min((width, height) / (frame[1] - frame[0])))
+
+
+def _scenery(contents: Contents) -> list[Mesh]:
+    """The scenes, without their ground."""
+    found = []
+    for scene in contents.scenes:
+        vertices, triangles = mesh_at(scene, contents.first_ns - contents.zero_ns)
+        found.append((transform(contents.T_vehicle_world, vertices), triangles))
+    return found
 
 
 def _draw_perspective(
@@ -209,9 +287,8 @@ def _draw_bodies(
 def _shapes(contents: Contents, bodies: Bodies) -> list[Shape]:
     """Scenes, the vehicle with the bases and where they fit, exclusions of the region, worst subspaces."""
     shapes: list[Shape] = []
+    shapes += [Shape(vertices[corners_of], EXCLUDED, 0.13) for vertices, corners_of in _scenery(contents)]
     for scene in contents.scenes:
-        vertices, corners_of = mesh_at(scene, contents.first_ns - contents.zero_ns)
-        shapes.append(Shape(transform(contents.T_vehicle_world, vertices)[corners_of], EXCLUDED, 0.13))
         if scene.file.ground:
             corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
             corners[:, 2] = transform(contents.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
@@ -284,7 +361,7 @@ def _draw_mounts(axes: "Axes", contents: Contents, camera: Camera, width: int, h
     seen = 0
     if not mounts:
         return 0
-    ground_m = _center(contents)[0][2]
+    ground_m = _center(contents)[2]
     size = height / 626
     places: list[tuple[float, float]] = []
     names: list[str] = []
@@ -331,32 +408,41 @@ def _draw_above(
     pixels: NDArray[np.uint8],
     contents: Contents,
     colours: NDArray[np.uint8],
-    center: Array,
-    reach_m: float,
+    frame: Array,
     picture_height: int,
     bodies: Bodies,
 ) -> None:
+    """Draw a frame (2, 2) of the points, the vehicle's outline, the region and the sensors from above."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Rectangle
 
     xyz = contents.cloud.xyz
     height, width = pixels.shape[:2]
-    scale = width / (2 * reach_m)
-    column = np.floor((xyz[:, 0] - center[0]) * scale + width / 2).astype(int)
-    row = np.floor(height / 2 - (xyz[:, 1] - center[1]) * scale).astype(int)
+    middle = frame.mean(axis=0)
+    scale = _scale(width, height, frame)
+    column = np.floor((xyz[:, 0] - middle[0]) * scale + width / 2).astype(int)
+    row = np.floor(height / 2 - (xyz[:, 1] - middle[1]) * scale).astype(int)
     pixels[:] = BACKGROUND
     fits = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
     fits = fits[np.argsort(xyz[fits, 2], kind="stable")]  # low first
-    pixels[row[fits], column[fits]] = colours[fits]
-    side = height / 2 / scale
-    extent = (center[0] - reach_m, center[0] + reach_m, center[1] - side, center[1] + side)
+    side = int(np.clip(np.sqrt(DENSE / max(len(xyz), 1)), 1, LARGEST_PX))
+    for down, right in np.ndindex(side, side):
+        pixels[np.minimum(row[fits] + down, height - 1), np.minimum(column[fits] + right, width - 1)] = colours[fits]
+    half = np.array([width, height]) / (2 * scale)
+    low, high = middle - half, middle + half
+    if not len(xyz):
+        seen = [vertices[triangles][..., :2] for vertices, triangles in _scenery(contents)]
+        for triangles in seen:
+            axes.add_collection(PolyCollection(list(triangles), facecolors=EXCLUDED, alpha=0.13, lw=0), autolim=False)
+    for outline in contents.vehicle.footprint.outlines_m if contents.vehicle else ():
+        axes.fill(*outline.T, facecolor=f"{VEHICLE}40", edgecolor=VEHICLE, lw=1.0)
     for quads, code in bodies:
         flat = quads[np.ptp(quads[..., 2], axis=1) == 0][..., :2]
         axes.add_collection(PolyCollection(list(flat), facecolors=code, alpha=0.2, linewidths=0), autolim=False)
     if contents.study:
-        low = contents.study.region.min_m
-        edges = contents.study.region.max_m - contents.study.region.min_m
-        axes.add_patch(Rectangle((low[0], low[1]), edges[0], edges[1], fill=False, ec=EXCLUDED, lw=0.8))
+        least = contents.study.region.min_m
+        edges = contents.study.region.max_m - least
+        axes.add_patch(Rectangle((least[0], least[1]), edges[0], edges[1], fill=False, ec=EXCLUDED, lw=0.8))
     shown = sensor_colours(contents)
     for mount in _mounts(contents):
         at = mount.position_m
@@ -370,10 +456,11 @@ def _draw_above(
             mew=1.2,
         )
     text = _text_pt(picture_height)
-    axes.set(xlim=extent[:2], ylim=extent[2:], facecolor="none")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor="none")
     axes.set_xlabel("x (m)", color="0.8", fontsize=text)
     axes.set_ylabel("y (m)", color="0.8", fontsize=text)
     axes.tick_params(colors="0.8", labelsize=text)
+    axes.ticklabel_format(useOffset=False, style="plain")
 
 
 def _legend(axes: "Axes", contents: Contents, by: By, height: int, found: RigScore | None) -> None:
@@ -394,7 +481,7 @@ def _legend(axes: "Axes", contents: Contents, by: By, height: int, found: RigSco
         counts = np.bincount(index, minlength=len(names))
         most = np.argsort(-counts, kind="stable")[:12] if by == "object" else np.arange(len(names))
         entries = [
-            (f"{truncate(names[i])}: {counts[i]:,} points", shown[i])
+            (f"{truncate(names[i])}: {counted(int(counts[i]), 'point')}", shown[i])
             for i in most.tolist()
             if counts[i] or by == "sensor"
         ]

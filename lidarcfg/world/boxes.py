@@ -67,6 +67,17 @@ def boxed_objects(scene: Scene) -> tuple[BoxedObject, ...]:
     return tuple(found)
 
 
+def lack_of_categories(scene: Scene) -> str | None:
+    """What to say where a scene's ground truth is asked for and no object with a box has a category."""
+    if any(one.category for one in boxed_objects(scene)):
+        return None
+    names = ", ".join(str(name) for name, one in DATASET_NAMES.items() if name and one.kitti)
+    return (
+        f"{scene.file.name}: no object has a category, so data sets know no cars and no people; write "
+        f"`category: car` into an object of the scene's file (allowed for boxes: {names})"
+    )
+
+
 def _box_of(item: SceneObject, scene: Scene, index: int) -> tuple[Array, Array, Array]:
     """Centre, size and rotation of an object's box at rest: along the object's own axes."""
     if isinstance(item, Box):

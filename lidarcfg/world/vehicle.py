@@ -9,17 +9,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydantic import model_validator
 
 from lidarcfg.config.document import Key
-from lidarcfg.config.kinds import OTHERS
-from lidarcfg.config.models import Model, Position, Section, error_at, load, validation_error
+from lidarcfg.config.kinds import OTHERS, YAML_SUFFIXES
+from lidarcfg.config.models import Given, Model, Position, Section, error_at, load_or_check, validation_error
 from lidarcfg.core import world
 from lidarcfg.errors import ConfigError, SceneError
-from lidarcfg.files import example
+from lidarcfg.files import example, loaded
 from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
@@ -250,6 +250,11 @@ class Vehicle:
         return next((solid.name for solid in self.solids if solid.contains_box(low_m, high_m)), None)
 
 
+def vehicle_file(given: Any) -> Any:
+    """A validator: in a dict, a `Vehicle` may stand where its keys would."""
+    return given.file if isinstance(given, Vehicle) else given
+
+
 def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     """The vehicle under a key of a file. Raises ConfigError for an invalid mesh, and for an open body to exclude."""
     began = time.perf_counter()
@@ -309,11 +314,15 @@ def _whole(mesh: BodyMesh, folder: Path) -> BodyMesh:
     return mesh.model_copy(update={"file": os.path.realpath(folder / mesh.file)})
 
 
-def load_vehicle(path: str | Path) -> Vehicle:
-    """The vehicle in a YAML file, or one whose only body is a mesh file. Raises ConfigError."""
-    path = example(path)
-    if path.suffix in (".yaml", ".yml"):
-        return vehicle(load(path, VehicleFile), path, ())
+def load_vehicle(given: Given) -> Vehicle:
+    """The vehicle in a YAML file or of a dict with its keys, or one whose only body is a mesh file.
+
+    Raises ConfigError.
+    """
+    if not isinstance(given, str | Path) or Path(given).suffix in YAML_SUFFIXES:
+        file, path = load_or_check(given, VehicleFile)
+        return vehicle(file, path, ())
+    path = example(given)
     body = BodyMesh(name="body", file=path.name)
     notes: list[str] = []
     if path.suffix.lower() in GLTF:
@@ -332,11 +341,13 @@ def rig_vehicle(rig: Rig) -> Vehicle | None:
     return vehicle(section.checked(VehicleFile), Path(section.path), section.at) if section else None
 
 
-def resolve_vehicle(rig: Rig | None, path: Path | None) -> Vehicle | None:
-    """The vehicle in a file, or the rig's if `path` is None; no vehicle if it is `none`. Raises ConfigError."""
-    if path is None:
+def resolve_vehicle(rig: Rig | None, given: Vehicle | Given | None) -> Vehicle | None:
+    """The vehicle that is given, or the rig's if that is None; no vehicle if it is `none`. Raises ConfigError."""
+    if given is None:
         return rig_vehicle(rig) if rig else None
-    return None if str(path) == NO_VEHICLE else load_vehicle(path)
+    if isinstance(given, str | Path) and str(given) == NO_VEHICLE:
+        return None
+    return loaded(given, load_vehicle, Vehicle)
 
 
 def check_outside(bodies: Vehicle, mounts: Iterable[Mount], path: Path | None = None) -> None:

@@ -52,7 +52,7 @@ def test_what_has_changed_is_not_taken(here):
     try:
         (here / "motion.yaml").write_text(motion + "# another\n")
         done = lidarcfg("decode", "drive.pcap", "--deskew", "-o", "no.npz", code=2, cwd=here)
-        assert "drive.pcap.yaml:12:3: trajectory.file: motion.yaml has changed since the export" in done.stderr
+        assert "drive.pcap.yaml:24:3: trajectory.file: motion.yaml has changed since the export" in done.stderr
         lidarcfg("decode", "drive.pcap", "--deskew", "--trajectory", "motion.yaml", "-o", "yes.npz", cwd=here)
         (here / "motion.yaml").unlink()
         done = lidarcfg("decode", "drive.pcap", "--deskew", "-o", "no.npz", code=2, cwd=here)

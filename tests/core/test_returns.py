@@ -8,6 +8,7 @@ import pytest
 
 from lidarcfg.core import returns, world
 from tests.core.records import replaced
+from tests.naive.returns import hit_m
 
 SIDE = np.array([[[0, -1, 0], [0, 1, 0], [0, 1, 2]], [[0, -1, 0], [0, 1, 2], [0, -1, 2]]], float)
 LOW = np.array([0.0, -1, 0])
@@ -205,6 +206,55 @@ def test_a_plate_around_the_axis(side):
         hits = (abs(aside_m * np.cos(azimuth)) <= 1) & (abs(aside_m * np.sin(azimuth)) <= 1)
     assert found.tolist() == [[int((hits & (phase == n)).sum()) for n in range(2)]]
     assert found.min() > 20
+
+
+def anywhere(rng):
+    """A sensor's R and t, near the origin, turned by any angles."""
+    q = rng.normal(size=4)
+    w, x, y, z = q / np.linalg.norm(q)
+    R = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.array([R]), rng.uniform(-1, 1, (1, 3))
+
+
+@pytest.mark.parametrize("apart_m", [0.0, 0.3])
+def test_scattered_beams_of_any_pose_are_those_of_plain_loops(apart_m):
+    """An open box of 1 m, also around the sensor, at it, above, below and behind it; beams start beside the axis or not."""
+    rng = np.random.default_rng(7)
+    count = 1500
+    azimuth, elevation = rng.uniform(-math.pi, 3 * math.pi, count), rng.uniform(-1.57, 1.57, count)
+    phase = rng.integers(2, size=count).astype(np.int32)
+    start_m = rng.uniform(-apart_m, apart_m, (count, 3))
+    one = still(
+        lag_rad=azimuth, gating_rad=azimuth, offset_rad=np.zeros(count), elevation_rad=elevation, start_m=start_m,
+        phase=phase, range_m=(0.2, 5.0), fov_rad=(math.radians(200), math.radians(300)),
+    )  # fmt: skip
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
+    faces = corners[[[0, 1, 3], [0, 3, 2], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4], [2, 3, 7], [2, 7, 6]]]
+    target = returns.TargetShape(bvh(faces), corners[0], corners[7])
+    x, y = np.cos(azimuth), -np.sin(azimuth)
+    way = np.stack([np.cos(elevation) * x, np.cos(elevation) * y, np.sin(elevation)], axis=1)
+    starts = np.stack([start_m[:, 0] * x - start_m[:, 1] * y, start_m[:, 0] * y + start_m[:, 1] * x, start_m[:, 2]], 1)
+    inside = (np.degrees(azimuth) - 200) % 360 <= 300
+    total = 0
+    for at in [(0, 0, -0.5), (0.6, 0, -0.5), (-2, 0.01, 0), (0, 0, 2), (0, 0, -3), (3, -3, 1), (0, 4, -1)]:
+        R, t = anywhere(rng)
+        heading = rng.uniform(-4, 4)
+        c, s = math.cos(heading), math.sin(heading)
+        placed = faces @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + at
+        expected = [0, 0]
+        for n in np.flatnonzero(inside):
+            expected[phase[n]] += 0.2 <= hit_m(R[0] @ starts[n] + t[0], R[0] @ way[n], placed) <= 5.0
+        counts = np.zeros((1, 1, 2), np.int32)
+        returns.count_returns(
+            np.array([[*at, heading]]), np.zeros(1, np.int64), [one], R, t, target, obstacles(), counts
+        )
+        assert counts[0, 0].tolist() == expected
+        total += sum(expected)
+    assert total > 200
 
 
 def count_with(**changes):

@@ -316,7 +316,7 @@ def test_kitti_object(folder, scene):
     assert kinds == {"Car", "Truck", "Pedestrian", "Misc"}
 
 
-def test_nuscenes(folder, scene, monkeypatch):
+def test_nuscenes(folder, scene, world, monkeypatch):
     """nuscenes-devkit loads all tables; its boxes in the sensor's frame hold the points that were counted."""
     path = exported(folder, "nuscenes", "--to", "nuscenes")
     devkit = judge("nuscenes.nuscenes", monkeypatch, "cv2", "sklearn", "sklearn.metrics", "cachetools")

@@ -59,3 +59,35 @@ def shows(speed_m_s, walk_m_s, half_length_m, ahead_m, beside_m, across_m, way_m
             if face < shadow:
                 return distance
         before += 0.005
+
+
+def seen_before(returns, frame_s, lead_s, needed_s, demanded):
+    """Seconds before the impact from which on a target is seen, walked back from the last moment to brake; None: never.
+
+    A frame counts at its end. What is not seen then is looked for after it, forwards to the impact.
+    """
+    frames = len(returns)
+    last = 0
+    while last < frames and (last + 1) * frame_s <= lead_s - needed_s:
+        last += 1  # frames that end in time
+    seen = None
+    for number in range(last, 0, -1):
+        if returns[number - 1] < demanded:
+            break
+        seen = number
+    if seen is None:
+        for number in range(last + 1, frames + 1):
+            if returns[number - 1] >= demanded:
+                seen = number
+                break
+    return None if seen is None else lead_s - seen * frame_s
+
+
+def up_to(passed):
+    """The highest of the speeds, lowest first, before the first at which it fails; `passed` by speed; None: none."""
+    highest = None
+    for speed in sorted(passed):
+        if not passed[speed]:
+            break
+        highest = speed
+    return highest

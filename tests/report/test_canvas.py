@@ -1,19 +1,34 @@
 """Numbers in drawings: none over another, each as near to its place as may be."""
 
+import base64
+import re
+from io import BytesIO
 from itertools import combinations
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pytest
 
 from lidarcfg.report.canvas import drawing, number_places, spread
 from lidarcfg.report.drawings import draw_rig
+from lidarcfg.report.mounts import draw_mounts
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.evaluation import evaluate
 from lidarcfg.study.loading import load_study
 
 ROOT = Path(__file__).parents[2]
 
+BOX = {
+    "region": {"min_m": [-8, -5, 0], "max_m": [8, 5, 3], "cuboid_m": [2, 2, 1]},
+    "sensors": [
+        {
+            "model": "vlp-16",
+            "min": {"position_m": [0, 0, 1.8], "rpy_deg": [0, 0, 0]},
+            "max": {"position_m": [1, 0, 2], "rpy_deg": [0, 0, 0]},
+        }
+    ],
+}
 LOW = np.zeros(2)
 HIGH = np.array([100.0, 60.0])
 
@@ -56,7 +71,7 @@ def test_only_what_is_moved_has_a_line_to_its_place():
 
 
 def test_the_drawing_of_a_rig_has_the_body_and_not_its_cuboids():
-    """The outline of what is grey is the mesh's own, seen from the top, the side and the front."""
+    """The outline of what is grey is the mesh's own, seen from the top, the side and the front, whole and not stretched."""
     study = load_study(ROOT / "data/studies/sedan.yaml")
     rig = load_rig(ROOT / "data/rigs/roof.yaml")
     figure = draw_rig(study, rig, evaluate(study, rig))
@@ -67,4 +82,21 @@ def test_the_drawing_of_a_rig_has_the_body_and_not_its_cuboids():
         for axis, column in ((across, 0), (up, 1)):
             assert drawn[:, column].min() == pytest.approx(vertices[:, axis].min())
             assert drawn[:, column].max() == pytest.approx(vertices[:, axis].max())
-        assert len(axes.images) == 1  # of the worst subspace
+            low, high = (axes.get_xlim, axes.get_ylim)[column]()
+            assert low < vertices[:, axis].min() < vertices[:, axis].max() < high
+        assert axes.get_aspect() == 1.0
+        assert not axes.images  # no cuboids
+
+
+def test_the_drawing_of_the_mounts_has_the_body_and_not_its_cuboids():
+    """A box as the vehicle: what its three views embed as pictures is grey in its proportions of 4 to 2 to 1.5 m."""
+    study = load_study(
+        {**BOX, "vehicle": {"boxes": [{"name": "cab", "center_m": [0, 0, 0.75], "size_m": [4, 2, 1.5]}]}}
+    )
+    svg = str(draw_mounts(study, study.rig(study.space.midpoint)))
+    shapes = []
+    for text in re.findall(r"base64,([A-Za-z0-9+/=\s]+)", svg):
+        alpha = matplotlib.image.imread(BytesIO(base64.b64decode(text)))[..., 3]
+        high, wide = np.ptp(np.argwhere(alpha > 0.5), axis=0)
+        shapes.append(wide / high)
+    assert shapes == pytest.approx([4 / 2, 4 / 1.5, 2 / 1.5], rel=0.05)

@@ -1,6 +1,7 @@
 """Scenarios: geometry and braking by hand, sight by a shadow's line, and frames as an export of the same drive has them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
 from lidarcfg.requirements.scenarios import run as scenario_run
 from lidarcfg.requirements.scenarios.approach import COMFORT, EMERGENCY, Approach, Braking, VehicleExtent
-from lidarcfg.requirements.scenarios.file import ScenarioFile, load_scenario, presets
+from lidarcfg.requirements.scenarios.file import ScenarioFile, load_scenario, presets, scenario_of
 from lidarcfg.requirements.scenarios.run import Rule, ScenarioRun, check_scenario, drive_of, needed
 from lidarcfg.requirements.scenarios.sight import earliest_sight, places_within
 from lidarcfg.returns.counts import LOW_M
@@ -290,7 +291,7 @@ def test_all_presets_are_whole(sedan, request):
 def test_a_mesh_is_a_target(sedan):
     """The child of data/objects instead of the box, which is larger: fewer returns, at the same place."""
     scenario = load_scenario("cpra-child")
-    mesh = load_scenario("cpra-child", target=ObjectFile(name="child"))
+    mesh = scenario_of(scenario.file, ObjectFile(name="child"), Path())
     rear = [mount("vlp-16", (-2.5, 0.0, 0.6), (0, 0, 0))]
     box, child = (check_scenario(one, rear, sedan, speeds_km_h=[8]) for one in (scenario, mesh))
     runs = box.cases[0].runs[0], child.cases[0].runs[0]

@@ -8,6 +8,7 @@ from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.scenario import draw_scenario, save_drive
+from lidarcfg.requirements.scenarios.requirement import ScenarioJudge
 from lidarcfg.requirements.verify import Verifier
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.study.file import StudyFile
@@ -74,6 +75,11 @@ def test_the_verdict_in_seconds(files):
     lost, without = judged(files, ("[50]", "[50], lost: 1"))
     assert (without.lost, without.margin < found.margin) == (("left",), True)
     mounts = load_rig(files / "rig.yaml").mounts
+    judge = ScenarioJudge(both)
+    judge.judge(mounts)  # keeps its runs for the evidence, which are those of a rig that is run anew
+    shown = judge.evidence(mounts, found).frames
+    for one, other in zip(shown.cases[0].runs, both.result(mounts).cases[0].runs, strict=True):
+        np.testing.assert_array_equal(one.returns, other.returns)
     alone = both.result(mounts[1:])
     assert without.margin == pytest.approx(alone.worst.worst.margin_s)
     assert ("left" in found.breaking) == (without.margin < 0)
@@ -139,7 +145,11 @@ def test_a_studys_values_are_whole(files):
             "let it start earlier (before_impact_s, from_m), or brake",
         ),
         (("[50]", "[50], braking: sudden"), "braking: 'sudden' is not allowed; allowed: emergency, comfort, or keys"),
-        (("[50]", "[50], target: giraffe"), "no object is called 'giraffe'; allowed: car"),
+        (("[50]", "[50], target: giraffe"), "requirements[0].target: no object is called 'giraffe'; allowed: car"),
+        (("[50]", "[50], target: {mesh: none.ply}"), "none.ply: no such file"),
+        (("[50]", "[-50]"), "speeds_km_h[0]: -50 is too small; allowed: above 0"),
+        (("[50]", "[]"), "speeds_km_h: has 0 values; allowed: at least 1"),
+        (("speeds_km_h: [50]", "speeds_m_s: [14]"), "speeds_m_s: unknown key; did you mean speeds_km_h?"),
         (("[50]", "[50], returns: 0"), "returns: 0 is too small; allowed: at least 1"),
         (("[50]", "[50], lost: 2"), "2 of 2 sensors lost leave none"),
         (("[50]", "[50], within_m: [0, 1]"), "within_m: does not go with scenario"),

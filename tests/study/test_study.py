@@ -251,6 +251,12 @@ def test_the_violation_by_hand(tmp_path):
     assert small.space.violation(pose) == pytest.approx([np.radians(15) + 0.5])
 
 
+def test_no_rigs_have_no_violation(tmp_path):
+    """A search that ends before it has tried a plain rig has none to compare with."""
+    body = "vehicle: {boxes: [{name: body, center_m: [0, 0, 0], size_m: [1, 1, 1]}]}\n"
+    assert study(tmp_path, SMALL + body).space.violation(np.empty((0, 3, 6))).shape == (0,)
+
+
 def test_constraints_that_nothing_keeps(tmp_path):
     with pytest.raises(ConfigError, match="found no rig that keeps the constraints"):
         optimize(study(tmp_path, SMALL + "constraints: {min_distance_m: 2.06}\n"))  # from corner to corner are 2.062

@@ -225,8 +225,47 @@ def test_without_webgl_the_page_says_so(scattered, tmp_path):
 
 
 @in_browser
+def test_the_page_opens_on_the_vehicle_the_points_and_what_is_missed(chromium, served, contents):
+    """No slab is drawn before a click asks for it: as if the rig had none; the ground shows what is missed."""
+    opened(chromium, served)
+    before = picture(chromium)
+    chromium.execute_script("lidarcfg.worst.set([]); lidarcfg.stage.redraw()")
+    assert different(picture(chromium), before) == 0
+    opened(chromium, served)
+    click(chromium, "#bodies")
+    assert different(picture(chromium), before) > 1000
+    click(chromium, "#bodies")
+    put(chromium, "#worst", 2)  # asks for them, too
+    assert different(picture(chromium), before) > 1000
+    click(chromium, "#bodies")
+    click(chromium, "#missed")
+    assert different(picture(chromium), before) > 100
+    at = on_screen(chromium, contents.study.vehicle.scene.mesh()[0].mean(axis=0))
+    assert abs(np.array(at)).max() < 160  # pixels from the middle
+
+
+@in_browser
+def test_a_saved_picture_is_what_the_browser_shows(chromium, served):
+    """Compared with the browser's own screenshot, labels included."""
+    opened(chromium, served)
+    shown = picture(chromium)
+    chromium.find_element("tag name", "body").send_keys("p")
+    path = chromium.downloads / "lidarcfg.png"
+    end = time.monotonic() + 30
+    while not path.exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    saved = matplotlib.image.imread(path)[..., :3] * 255
+    assert saved.shape == shown.shape
+    assert different(saved, shown) < 600  # letters
+    click(chromium, "#sensor-0")
+    assert different(picture(chromium), saved) > 1000
+
+
+@in_browser
 def test_controls_change_the_picture(chromium, served):
     opened(chromium, served)
+    click(chromium, "#fit")
     before = picture(chromium)
     for turn in ("#sensor-1", "#region", "#bodies"):
         click(chromium, turn)
@@ -275,6 +314,7 @@ def test_a_handle_moves_the_rig_and_max_vsr_follows(chromium, served, contents):
     opened(chromium, served)
     started = evaluate(contents.study, contents.rigs[0]).max_vsr_m
     assert shown_vsr(chromium) == started
+    click(chromium, "#fit")
     before = picture(chromium)
     put(chromium, "#mount", 0, "change")
     at = np.array(contents.rigs[0].mounts[0].position_m)

@@ -363,11 +363,18 @@ def test_the_opening_view_is_from_where_the_vehicle_is_nearest(chromium, tmp_pat
         assert eyes[0, 0] * lean_deg < 0
 
 
+BEHIND = """
+const { stage } = lidarcfg, at = (...xyz) => stage.orbit.target.clone().set(...xyz);
+stage.place(at(-20, 0, 12), at(0, 0, 0));
+"""
+
+
 @in_browser
 def test_guides_zones_and_keys(chromium, sides):
     """Each key of the panel is on the page of the documentation; grid, rings and zones are drawn, with their names."""
     with serving(sides) as url:
         opened(chromium, url)
+        chromium.execute_script(BEHIND)
         body = chromium.find_element("tag name", "body")
         labels = (
             "return [...document.querySelectorAll('#labels span')].filter((l) => !l.hidden).map((l) => l.textContent)"

@@ -82,6 +82,7 @@ def test_the_verdict_follows_a_drag(chromium, required):
     with serving(required) as url:
         opened(chromium, url)
         assert shown() == "PASS"
+        click(chromium, "#fit")
         for number in (0, 1):
             put(chromium, "#mount", number, "change")
             at = chromium.execute_script("return lidarcfg.handles.poses")[number][:3]

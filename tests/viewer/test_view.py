@@ -25,7 +25,7 @@ from lidarcfg.study.extents import extents
 from lidarcfg.study.loading import load_study
 from lidarcfg.viewer.bodies import faces, score
 from lidarcfg.viewer.camera import Camera
-from lidarcfg.viewer.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, point_colours, rgb, scaled
+from lidarcfg.viewer.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, colour, point_colours, rgb, scaled
 from lidarcfg.viewer.contents import Contents, kind_to_show, load_contents
 from lidarcfg.viewer.still import save_still
 from lidarcfg.viewer.window import parts
@@ -87,6 +87,23 @@ def test_no_label_leaves_the_view_from_above(tmp_path, size):
     assert len(np.unique(pixels[:, : max(size[0] // 400, 1), :3].reshape(-1, 3), axis=0)) == 1
 
 
+@pytest.mark.parametrize(
+    ("size_m", "rows", "columns"),
+    [((18, 14), slice(0, 700), slice(624, 1200)), ((90, 10), slice(420, 700), slice(0, 1200))],
+)
+def test_the_view_from_above_fits_what_is_there(tmp_path, size_m, rows, columns):
+    """A hall beside the perspective, a street below it: the outline's pixels are in proportion and fill most of it."""
+    along = np.linspace(-0.5, 0.5, 2000)
+    side = np.full_like(along, 0.5)
+    outline = np.concatenate([[along, side], [along, -side], [side, along], [-side, along]], axis=1).T * size_m
+    save_still(contents(np.column_stack([outline, np.zeros(len(outline))])), tmp_path / "p.png", (1200, 700))
+    image = drawn(tmp_path / "p.png")[rows, columns]
+    found = np.argwhere(np.ptp(image, axis=-1) > 60)
+    high, wide = np.ptp(found, axis=0)
+    assert wide / high == pytest.approx(size_m[0] / size_m[1], rel=0.03)
+    assert wide > 0.8 * image.shape[1] or high > 0.8 * image.shape[0]
+
+
 def test_an_empty_stage_is_refused(tmp_path):
     with pytest.raises(CloudError, match="the cloud is empty"):
         save_still(contents(), tmp_path / "p.png")
@@ -132,6 +149,15 @@ def test_the_scale_is_viridis():
     share = np.linspace(1 / 6, 1, 50)
     theirs = 255 * matplotlib.colormaps["viridis"](share)[:, :3]
     assert abs(ours - theirs).max() < 12
+
+
+def test_eighteen_objects_look_different():
+    """Any two of their colours are 30 of 255 apart in some channel, and all are brighter than the background."""
+    found = rgb([colour(i) for i in range(18)]).astype(int)
+    apart = abs(found[:, None] - found).max(axis=-1)
+    assert (apart[~np.eye(18, dtype=bool)] >= 30).all()
+    assert (found.max(axis=1) > 2 * max(BACKGROUND)).all()
+    assert (found[:6] == rgb(BRIGHT)).all()
 
 
 @pytest.mark.parametrize("by", COLOUR_BY[:-1])

@@ -87,7 +87,7 @@ def test_street():
     assert low[:, 0].min() >= -60
     assert high[:, 0].max() <= 60
     assert abs(corners[..., 1]).max() <= 20
-    assert sum(name.endswith("_head") and "pedestrian" in name for name in street.names) >= 6
+    assert sum(item.category == "pedestrian" for item in street.items) >= 8
     assert (street.reflectivity > 100).sum() >= 4
     assert street.file.meshes
 

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <memory>
 
+#include "world/ray.h"
+
 namespace lidarcfg::returns {
 namespace {
 
@@ -25,13 +27,21 @@ ReturnTracer::Bounds bounds_of(View<const std::int32_t> counts, View<const std::
 
 }  // namespace
 
-/// Have some of the next beams be the rays that are traced: of one firing, or of a band of firings. Returns how many;
-/// none: all were.
+/// Have some of the next beams be those that are traced: of one firing, or any of heads that stand still. Returns how
+/// many; none: all were.
 int ReturnTracer::take(const AimedBeams& beams) {
+  if (beams.scanner().stands_still()) {
+    const View<const AimedBeams::Heads> left = beams.heads().subspan(next_);
+    const std::size_t some = std::min(left.size(), std::size_t{world::packet_size});
+    std::ranges::transform(left.first(some), beams_,
+                           [](const AimedBeams::Heads& one) { return Beam{one.firing, one.first}; });
+    next_ += static_cast<Index>(some);
+    return static_cast<int>(some);
+  }
   int count = 0;
   while (count < world::packet_size && next_ < std::ssize(beams.heads())) {
     const AimedBeams::Heads& all = beams.heads()[next_];
-    if (count > 0 && !beams.scanner().are_alike(beams_[count - 1].firing, all.firing)) {
+    if (count > 0 && beams_[0].firing != all.firing) {
       break;
     }
     const std::int32_t first = all.first + taken_;
@@ -104,9 +114,19 @@ ReturnTracer::Bounds ReturnTracer::count_until(const AimedBeams& beams, const Ob
   return bounds_of(counts, open_);
 }
 
-/// Have those of the rays wait that hit the object within range and field of view.
+/// Have those of the beams wait that hit the object within range and field of view.
 void ReturnTracer::trace(const AimedBeams& beams, int count, const Obstacles& obstacles) {
   const Scanner& scanner = beams.scanner();
+  if (scanner.stands_still()) {  // rays are far apart: of packets few rays would hit the same triangle
+    for (int n = 0; n < count; ++n) {
+      const auto [origin, direction] = beams.still_ray(beams_[n].firing);
+      const auto [range, slot] = world::first_hit(beams.target().bvh, origin, direction, scanner.most_m() + beyond_m);
+      if (slot >= 0) {
+        keep_hit(beams, beams_[n], origin, direction, range, obstacles);
+      }
+    }
+    return;
+  }
   const Rows<const double> origins(origins_, 3, stride);
   const Rows<const double> directions(directions_, 3, stride);
   for (int done = 0; done < count;) {
@@ -115,25 +135,28 @@ void ReturnTracer::trace(const AimedBeams& beams, int count, const Obstacles& ob
     packet_.limit(scanner.most_m() + beyond_m);
     packet_.first_hits(beams.target().bvh);
     for (int n = 0; n < some; ++n) {
-      const double range = packet_.range(n);
-      const int ray = done + n;
-      const auto [firing, head] = beams_[ray];
-      if (packet_.slot(n) < 0 || !(scanner.least_m() <= range && range <= scanner.most_m()) ||
-          scanner.is_outside(firing, head)) {
-        continue;
+      if (packet_.slot(n) >= 0) {
+        keep_hit(beams, beams_[done + n], packet_.origin(n), packet_.direction(n), packet_.range(n), obstacles);
       }
-      const Vec3 start = beams.point_in_vehicle({origins_[ray], origins_[stride + ray], origins_[2 * stride + ray]},
-                                                obstacles.origin_m);
-      const Vec3 way =
-          beams.direction_in_vehicle({directions_[ray], directions_[stride + ray], directions_[2 * stride + ray]});
-      for (int k = 0; k < 3; ++k) {
-        starts_[k * capacity + waiting_] = start[k];
-        ways_[k * capacity + waiting_] = way[k] * range;
-      }
-      phase_[waiting_++] = head % scanner.phases();
     }
     done += some;
   }
+}
+
+/// Have a beam's hit at a range wait, if that is within range and field of view.
+void ReturnTracer::keep_hit(const AimedBeams& beams, const Beam& beam, const Vec3& origin, const Vec3& direction,
+                            double range, const Obstacles& obstacles) {
+  const Scanner& scanner = beams.scanner();
+  if (!(scanner.least_m() <= range && range <= scanner.most_m()) || scanner.is_outside(beam.firing, beam.head)) {
+    return;
+  }
+  const Vec3 start = beams.point_in_vehicle(origin, obstacles.origin_m);
+  const Vec3 way = beams.direction_in_vehicle(direction);
+  for (int k = 0; k < 3; ++k) {
+    starts_[k * capacity + waiting_] = start[k];
+    ways_[k * capacity + waiting_] = way[k] * range;
+  }
+  phase_[waiting_++] = beam.head % scanner.phases();
 }
 
 /// Call on_return with those of the hits that wait that nothing stands before.

@@ -42,6 +42,8 @@ class ReturnTracer {
   void begin();
   int take(const AimedBeams& beams);
   void trace(const AimedBeams& beams, int count, const Obstacles& obstacles);
+  void keep_hit(const AimedBeams& beams, const Beam& beam, const Vec3& origin, const Vec3& direction, double range,
+                const Obstacles& obstacles);
   template <class OnReturn>
   void trace_all(const AimedBeams& beams, const Obstacles& obstacles, OnReturn on_return);
   template <class OnReturn>

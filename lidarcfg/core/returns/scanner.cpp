@@ -14,15 +14,54 @@ constexpr double turn = 2 * std::numbers::pi;
 constexpr double ahead_m = 1e-9;   // an object's corners are all at least so far ahead of a sensor, or its beams all
                                    // around are traced
 constexpr double wider = 1e-9;     // of azimuths and slopes, for rounding
+constexpr double around_m = 1e-6;  // that a box is wider, for rounding
 constexpr double fov_rad = 1e-11;  // by which a field of view is wider, for rounding
 constexpr double steep_rad = 1.5;
-constexpr double band_rad = 0.02;  // of firings whose rays are traced together
+constexpr double band_rad = 1e-3;          // that firings of heads that stand still have of elevation, at least
 constexpr std::int32_t middle_heads = 64;  // of the surest firing, that come first
 constexpr double inf = std::numeric_limits<double>::infinity();
 
 double floor_modulo(double value, double divisor) {
   const double rest = std::fmod(value, divisor);
   return rest < 0 ? rest + divisor : rest;
+}
+
+/// How high bands are: about as high as four of a band's rays that follow each other are wide.
+double band_height(View<const double> elevation_rad) {
+  if (elevation_rad.empty()) {
+    return band_rad;
+  }
+  const auto [low, high] = std::ranges::minmax(elevation_rad);
+  return std::max(band_rad, std::sqrt(4.0 * turn * (high - low) / elevation_rad.size()));
+}
+
+/// A beam of a firing, in the sensor's frame.
+struct Beam {
+  Vec3 way;      // forward, right, up
+  Vec3 start_m;  // forward, left, up
+
+  Beam(const Scanner::Firing& one, double cos_head, double sin_head) {
+    const double cos_e = cos_head * one.cos_lag - sin_head * one.sin_lag;
+    const double sin_e = sin_head * one.cos_lag + cos_head * one.sin_lag;
+    const double c = cos_e * one.cos_offset - sin_e * one.sin_offset;
+    const double s = sin_e * one.cos_offset + cos_e * one.sin_offset;
+    way = {one.cos_elevation * c, one.cos_elevation * s, one.sin_elevation};
+    start_m = {one.left_m * s + one.forward_m * cos_e, one.left_m * c - one.forward_m * sin_e, one.up_m};
+  }
+};
+
+/// Whether a ray may be in an object's bounding box somewhere.
+bool passes_box(const AimedBeams::Ray& ray, const TargetShape& target) {
+  double enters = 0;
+  double leaves = inf;
+  for (int k = 0; k < 3; ++k) {
+    const double low = (target.low_m[k] - around_m - ray.origin[k]) / ray.direction[k];
+    const double high = (target.high_m[k] + around_m - ray.origin[k]) / ray.direction[k];
+    const bool down = std::signbit(ray.direction[k]);
+    enters = std::max(enters, down ? high : low);  // the first, if the second is no number
+    leaves = std::min(leaves, down ? low : high);
+  }
+  return enters <= leaves;
 }
 
 /// An angle from 0 to a turn, both included; not to the last digit.
@@ -58,34 +97,64 @@ Scanner::Scanner(const ScannerColumns& columns)
     one.forward_m = columns.start_m(f, 0);
     one.left_m = columns.start_m(f, 1);
     one.up_m = columns.start_m(f, 2);
-    one.phase = stands_still() ? columns.phase[f] : 0;
-    one.band = static_cast<std::int32_t>(stands_still() ? std::floor(elevation / band_rad) : f);
     beside_m_ = std::max(beside_m_, std::sqrt(one.forward_m * one.forward_m + one.left_m * one.left_m));
     firings_.push_back(one);
   }
   if (stands_still()) {
-    std::ranges::stable_sort(firings_, {}, [](const Firing& one) { return std::pair(one.band, one.lag_rad); });
+    still_ = still_of(columns, firings_);
+    firings_ = {};
   }
-  for (Index f = 0; f < std::ssize(firings_); ++f) {
-    if (f == 0 || !are_alike(f - 1, f)) {
-      band_starts_.push_back(f);
-    }
-  }
-  band_starts_.push_back(std::ssize(firings_));
 }
 
-View<const Scanner::Firing> Scanner::firings_of(Index band) const {
-  return firings().subspan(band_starts_[band], band_starts_[band + 1] - band_starts_[band]);
+std::shared_ptr<const Scanner::StillFirings> Scanner::still_of(const ScannerColumns& columns,
+                                                               View<const Firing> firings) const {
+  struct One {
+    Index firing;
+    double band;
+  };
+  std::vector<One> order;
+  const double height = band_height(columns.elevation_rad);
+  for (Index f = 0; f < std::ssize(firings); ++f) {
+    if (!is_outside(firings[f], columns.phase[f])) {
+      const double band = std::floor(columns.elevation_rad[f] / height);
+      order.push_back({f, firings[f].steep ? std::copysign(inf, firings[f].rise) : band});
+    }
+  }
+  std::ranges::stable_sort(order, {}, [&](const One& one) { return std::pair(one.band, firings[one.firing].lag_rad); });
+  auto out = std::make_shared<StillFirings>();
+  for (std::size_t n = 0; n < order.size(); ++n) {
+    const Firing& one = firings[order[n].firing];
+    const std::int32_t phase = columns.phase[order[n].firing];
+    const Beam beam(one, heads_->cos[phase], heads_->sin[phase]);
+    if (n == 0 || order[n - 1].band != order[n].band) {
+      const auto first = static_cast<Index>(n);
+      out->bands.push_back({first, first, one.steep, one.rise, one.rise, one.up_m, one.up_m});
+    }
+    Band& band = out->bands.back();
+    ++band.end;
+    band.least_rise = std::min(band.least_rise, one.rise);
+    band.most_rise = std::max(band.most_rise, one.rise);
+    band.least_up_m = std::min(band.least_up_m, one.up_m);
+    band.most_up_m = std::max(band.most_up_m, one.up_m);
+    out->azimuth_rad.push_back(one.lag_rad);
+    out->rise.push_back(one.rise);
+    out->phase.push_back(phase);
+    for (int k = 0; k < 3; ++k) {
+      out->way[k].push_back(beam.way[k]);
+      out->start_m[k].push_back(beam.start_m[k]);
+    }
+  }
+  return out;
 }
 
 bool Scanner::sees_all_around() const { return fov_rad_[1] >= turn; }
 
-bool Scanner::is_outside(Index firing, Index head) const {
+bool Scanner::is_outside(const Firing& firing, Index head) const {
   if (sees_all_around()) {
     return false;
   }
-  const double turned = floor_modulo(
-      start_rad_ + static_cast<double>(head) * step_rad_ + firings_[firing].gating_rad - fov_rad_[0], turn);
+  const double turned =
+      floor_modulo(start_rad_ + static_cast<double>(head) * step_rad_ + firing.gating_rad - fov_rad_[0], turn);
   return fov_rad_[1] + fov_rad < turned && turned < turn - fov_rad;
 }
 
@@ -98,17 +167,31 @@ struct AimedBeams::Window {
   double low_m;
   double high_m;
 
-  /// Whether a firing may be at the box's height at its distance.
-  bool meets(const Scanner::Firing& firing) const {
-    const double low = low_m - firing.up_m;
-    const double high = high_m - firing.up_m;
-    if (firing.steep) {  // the object stays away from the axis, or is around it
-      return firing.rise > 0 ? firing.rise * near_m <= high : firing.rise * near_m >= low;
-    }
+  /// Between which rises beams that start so high may be at the box's height at its distance.
+  struct Rises {
+    double least;
+    double most;
+  };
+
+  Rises rises(double up_m) const {
+    const double low = low_m - up_m;
+    const double high = high_m - up_m;
     const double least = low / (low < 0 ? near_m : far_m);
     const double most = high / (high <= 0 ? far_m : near_m);
-    return least - wider * (1 + std::abs(least)) <= firing.rise && firing.rise <= most + wider * (1 + std::abs(most));
+    return {least - wider * (1 + std::abs(least)), most + wider * (1 + std::abs(most))};
   }
+
+  /// Whether a firing may be at the box's height at its distance.
+  bool meets(double rise, double up_m, bool steep) const {
+    if (steep) {  // the object stays away from the axis, or is around it
+      return rise > 0 ? rise * near_m <= high_m - up_m : rise * near_m >= low_m - up_m;
+    }
+    const auto [least, most] = rises(up_m);
+    return least <= rise && rise <= most;
+  }
+
+  /// The rise to the middle of the box.
+  double middle() const { return (low_m + high_m) / (near_m + far_m); }
 };
 
 void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const TargetShape& target, const Place& place) {
@@ -131,15 +214,12 @@ void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const Targe
     return;
   }
   if (scanner.stands_still()) {
-    const double begin = wrapped(seen.first_rad);
-    const double end = begin + (seen.last_rad - seen.first_rad);
-    for (Index band = 0; band < scanner.bands(); ++band) {
-      add_still(seen, band, begin, std::min(end, turn));
-      add_still(seen, band, 0, std::min(end - turn, std::nextafter(begin, -1.0)));
-    }
+    add_still(seen);
+    return;
   }
-  for (Index f = 0; !scanner.stands_still() && f < std::ssize(scanner.firings()); ++f) {
-    if (seen.meets(scanner.firings()[f])) {
+  for (Index f = 0; f < std::ssize(scanner.firings()); ++f) {
+    const Scanner::Firing& one = scanner.firings()[f];
+    if (seen.meets(one.rise, one.up_m, one.steep)) {
       add(seen, f);
     }
   }
@@ -151,7 +231,7 @@ void AimedBeams::put_middle_first(const Window& seen) {
   if (heads_.empty() || seen.near_m == 0) {
     return;
   }
-  const double middle = (seen.low_m + seen.high_m) / (seen.near_m + seen.far_m);
+  const double middle = seen.middle();
   const auto off = [&](const Heads& some) {
     const Scanner::Firing& one = scanner_->firings()[some.firing];
     return std::abs(one.rise - middle);
@@ -214,12 +294,8 @@ AimedBeams::Window AimedBeams::window() const {
   }
   const double centre = -lidarcfg::atan2(v, u);
   const double more = lidarcfg::asin(beside_m / near) + wider;
-  return {centre - lidarcfg::atan(left) - more,
-          centre - lidarcfg::atan(right) + more,
-          near - beside_m,
-          far_m,
-          *low,
-          *high};
+  return {
+      centre - lidarcfg::atan(left) - more, centre - lidarcfg::atan(right) + more, near - beside_m, far_m, *low, *high};
 }
 
 /// Add the heads at which a firing points at a window and may be in the field of view.
@@ -246,14 +322,40 @@ void AimedBeams::add(const Window& window, Index firing) {
   }
 }
 
-/// Add those firings of a band, of heads that stand still, that point at a window and lag from one angle to another.
-void AimedBeams::add_still(const Window& window, Index band, double begin_rad, double end_rad) {
-  const View<const Scanner::Firing> all = scanner_->firings_of(band);
-  const auto first = static_cast<std::int32_t>(all.data() - scanner_->firings().data());
-  auto at = std::ranges::lower_bound(all, begin_rad, {}, &Scanner::Firing::lag_rad);
-  for (; at != all.end() && at->lag_rad <= end_rad; ++at) {
-    if (window.meets(*at)) {
-      heads_.push_back({first + static_cast<std::int32_t>(at - all.begin()), at->phase, at->phase + 1});
+/// Add the firings, of heads that stand still, that point at a window: first those at its middle.
+void AimedBeams::add_still(const Window& window) {
+  const double begin = wrapped(window.first_rad);
+  const double end = begin + (window.last_rad - window.first_rad);
+  Index first = 0;
+  for (const Scanner::Band& band : scanner_->still().bands) {
+    const Index before = std::ssize(heads_);
+    add_still(window, band, begin, std::min(end, turn));
+    add_still(window, band, 0, std::min(end - turn, std::nextafter(begin, -1.0)));
+    const Index added = std::ssize(heads_) - before;
+    if (added > 0 && window.near_m > 0 && band.least_rise <= window.middle()) {
+      first = before + added / 2;
+    }
+  }
+  std::rotate(heads_.begin(), heads_.begin() + first, heads_.end());
+}
+
+/// Add those firings of a band that point at a window, from one azimuth to another.
+void AimedBeams::add_still(const Window& window, const Scanner::Band& band, double begin_rad, double end_rad) {
+  const bool level = band.least_up_m == band.most_up_m;
+  const double least = window.rises(band.most_up_m).least;
+  const double most = window.rises(band.least_up_m).most;
+  if (!band.steep && !(band.most_rise >= least && band.least_rise <= most)) {
+    return;
+  }
+  const Scanner::StillFirings& still = scanner_->still();
+  const double* const azimuth = still.azimuth_rad.data();
+  Index f = std::lower_bound(azimuth + band.first, azimuth + band.end, begin_rad) - azimuth;
+  for (; f < band.end && azimuth[f] <= end_rad; ++f) {
+    const double rise = still.rise[f];
+    const bool meets =
+        level && !band.steep ? least <= rise && rise <= most : window.meets(rise, still.start_m[2][f], band.steep);
+    if (meets && passes_box(still_ray(f), *target_)) {
+      heads_.push_back({static_cast<std::int32_t>(f), still.phase[f], still.phase[f] + 1});
     }
   }
 }
@@ -317,6 +419,18 @@ void AimedBeams::rays(const Heads& heads, double* origins, double* directions, i
       origin[n] = u * (one.left_m * s + one.forward_m * cos_e) + v * (one.left_m * c - one.forward_m * sin_e) + up;
     }
   }
+}
+
+AimedBeams::Ray AimedBeams::still_ray(Index f) const {
+  const auto& [way_x, way_y, way_z] = scanner_->still().way;
+  const auto& [start_x, start_y, start_z] = scanner_->still().start_m;
+  Ray ray;
+  for (int k = 0; k < 3; ++k) {
+    const auto [u, v, w] = M_[k];
+    ray.direction[k] = u * way_x[f] - v * way_y[f] + w * way_z[f];
+    ray.origin[k] = u * start_x[f] + v * start_y[f] + (w * start_z[f] + origin_[k]);
+  }
+  return ray;
 }
 
 Vec3 AimedBeams::point_in_vehicle(const Vec3& point, const Vec3& origin) const {

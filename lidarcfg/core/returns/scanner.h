@@ -32,7 +32,8 @@ struct ScannerColumns {
   std::array<double, 2> fov_rad;     // from, width
 };
 
-/// A sensor whose firing pattern is known; it does not change. Copies share the heads' memory.
+/// A sensor whose firing pattern is known; it does not change. Copies share the memory of heads, and of those that
+/// stand still that of firings.
 class Scanner {
  public:
   explicit Scanner(const ScannerColumns& columns);
@@ -48,17 +49,32 @@ class Scanner {
     double cos_elevation, sin_elevation;
     double forward_m, left_m, up_m;
     bool steep;  // nearly along the axis
-    std::int32_t phase;
-    std::int32_t band;  // of heads that stand still: firings of about one elevation; else each is its own
   };
 
-  /// Of heads that stand still, band by band, and in each by ascending lag, from 0 to a turn.
+  /// Those of heads that turn.
   View<const Firing> firings() const { return firings_; }
-  View<const Firing> firings_of(Index band) const;
-  Index bands() const { return std::ssize(band_starts_) - 1; }
 
-  /// Whether rays of two firings may go through a hierarchy together.
-  bool are_alike(Index firing, Index other) const { return firings_[firing].band == firings_[other].band; }
+  /// Some of the firings of heads that stand still: those from one elevation to another.
+  struct Band {
+    Index first;
+    Index end;
+    bool steep;
+    double least_rise, most_rise;
+    double least_up_m, most_up_m;
+  };
+
+  /// The firings of heads that stand still, within the field of view: by columns, band after band upwards, and in each
+  /// by ascending azimuth. Beams are forward, right and up.
+  struct StillFirings {
+    std::vector<Band> bands;
+    std::vector<double> azimuth_rad;  // from 0 to a turn
+    std::vector<double> rise;
+    std::vector<double> way[3];
+    std::vector<double> start_m[3];  // forward, left, up
+    std::vector<std::int32_t> phase;
+  };
+
+  const StillFirings& still() const { return *still_; }
 
   Index heads() const { return std::ssize(heads_->cos); }
   const double* cos_head() const { return heads_->cos.data(); }
@@ -75,7 +91,7 @@ class Scanner {
   bool stands_still() const { return step_rad_ == 0; }
 
   /// Whether a firing at one of its heads is outside the field of view.
-  bool is_outside(Index firing, Index head) const;
+  bool is_outside(Index firing, Index head) const { return !stands_still() && is_outside(firings_[firing], head); }
 
  private:
   struct HeadAngles {
@@ -83,9 +99,12 @@ class Scanner {
     std::vector<double> sin;
   };
 
+  bool is_outside(const Firing& firing, Index head) const;
+  std::shared_ptr<const StillFirings> still_of(const ScannerColumns& columns, View<const Firing> firings) const;
+
   std::shared_ptr<const HeadAngles> heads_;
   std::vector<Firing> firings_;
-  std::vector<Index> band_starts_;  // (bands + 1,) firings
+  std::shared_ptr<const StillFirings> still_;
   double start_rad_;
   double step_rad_;
   int phases_;
@@ -137,6 +156,14 @@ class AimedBeams {
   /// Write the rays of some heads, (3, `stride`) each, in the object's frame.
   void rays(const Heads& heads, double* origins, double* directions, int stride) const;
 
+  struct Ray {
+    Vec3 origin;
+    Vec3 direction;
+  };
+
+  /// The ray of a firing of a head that stands still, in the object's frame.
+  Ray still_ray(Index firing) const;
+
   /// A point of the object's frame in the vehicle's, relative to `origin`.
   Vec3 point_in_vehicle(const Vec3& point, const Vec3& origin) const;
   Vec3 direction_in_vehicle(const Vec3& direction) const;
@@ -146,7 +173,8 @@ class AimedBeams {
 
   Window window() const;
   void add(const Window& window, Index firing);
-  void add_still(const Window& window, Index band, double begin_rad, double end_rad);
+  void add_still(const Window& window);
+  void add_still(const Window& window, const Scanner::Band& band, double begin_rad, double end_rad);
   void put_middle_first(const Window& seen);
   void add_heads(Index firing, double begin_rad, double end_rad);
 

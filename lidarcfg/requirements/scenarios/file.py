@@ -112,8 +112,8 @@ def presets() -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
-def load_scenario(name: str, folder: Path = Path(), target: ObjectFile | None = None) -> Scenario:
-    """A preset by its name, or the scenario in a file relative to a folder; with another target, if one is given.
+def load_scenario(name: str, folder: Path = Path()) -> Scenario:
+    """A preset by its name, or the scenario in a file relative to a folder.
 
     Raises ConfigError and SceneError.
     """
@@ -124,7 +124,7 @@ def load_scenario(name: str, folder: Path = Path(), target: ObjectFile | None = 
         if name.lower() not in known:
             raise ConfigError(f"no scenario is called {name!r}; allowed: {', '.join(known)}, or the path of a .yaml")
         path = known[name.lower()]
-    return scenario_in(path) if target is None else scenario_of(load(path, ScenarioFile), target, folder)
+    return scenario_in(path)
 
 
 def scenario_in(path: Path) -> Scenario:

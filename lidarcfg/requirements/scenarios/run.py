@@ -227,7 +227,7 @@ class ScenarioRun:
         If it is not detected then: of the first frame after it in which it is; none before the impact: None.
         """
         enough = self.returns >= self.demanded
-        in_time = int(np.count_nonzero(self.frame_end_s <= self.last_s))
+        in_time = self._frames_in_time
         if in_time and enough[in_time - 1]:
             missed = np.flatnonzero(~enough[:in_time])
             first = int(missed[-1]) + 1 if len(missed) else 0
@@ -237,6 +237,22 @@ class ScenarioRun:
                 return None
             first = in_time + int(found[0])
         return float(self.frame_end_s[first])
+
+    @property
+    def lost_frame(self) -> int | None:
+        """The frame from which on a target is no longer detected that was, until the last moment to brake; None: none.
+
+        It may be detected again after that.
+        """
+        in_time = self._frames_in_time
+        enough = np.flatnonzero(self.returns[:in_time] >= self.demanded)
+        after = int(enough[-1]) + 1 if len(enough) else in_time
+        return after if after < in_time else None
+
+    @property
+    def _frames_in_time(self) -> int:
+        """How many frames end before the last moment to brake."""
+        return int(np.count_nonzero(self.frame_end_s <= self.last_s))
 
     @property
     def margin_s(self) -> float:

@@ -38,6 +38,7 @@ function shortcuts(view) {
     ["g", "G", "grid", () => clicked("grid")],
     ["c", "C", "range rings", () => clicked("rings")],
     ["m", "M", "measure", () => view.measuring(!view.measure.on)],
+    ["p", "P", "save a picture", () => clicked("save-picture")],
     ["t", "T", "move the sensor", () => rig?.mode("translate")],
     ["r", "R", "rotate the sensor", () => rig?.mode("rotate")],
     ["ctrl+z", "Ctrl Z", "undo a change of the rig", () => rig?.undo()],

@@ -7,7 +7,7 @@ import { grid, rings } from "lidarcfg/guides";
 import { Evaluator, Handles } from "lidarcfg/handles";
 import { listenToKeys } from "lidarcfg/keys";
 import { Measure } from "lidarcfg/measure";
-import { EvaluationSection, MissesSection, VerdictSection, check, colourSection, el, push, section, sensorSection, slide } from "lidarcfg/panel";
+import { EvaluationSection, MissesSection, VerdictSection, check, colourSection, download, el, push, section, sensorSection, slide } from "lidarcfg/panel";
 import { PointsCloud } from "lidarcfg/points";
 import { RasterCloud } from "lidarcfg/raster";
 import { RigSection } from "lidarcfg/rig";
@@ -57,15 +57,14 @@ function build(about, stage, cloud, poses) {
   });
   for (const mount of mounts) stage.vehicle.add(mount.object);
 
-  panel.append(
-    sensorSection(about, (name, on) => {
-      cloud?.show(name, on);
-      mounts.filter((mount) => mount.name === name).forEach((mount) => {
-        mount.object.visible = on;
-      });
-      stage.redraw();
-    }),
-  );
+  const sensors = sensorSection(about, (name, on) => {
+    cloud?.show(name, on);
+    mounts.filter((mount) => mount.name === name).forEach((mount) => {
+      mount.object.visible = on;
+    });
+    stage.redraw();
+  });
+  if (sensors) panel.append(sensors);
   if (cloud) pointControls(view, panel);
   bodyControls(view, panel, mounts);
   if (view.tracks) timeControls(view, panel);
@@ -137,7 +136,7 @@ function bodyControls(view, panel, mounts) {
     }));
   };
   if (study) {
-    toggled("region", "region, and what it excludes (the vehicle)", region(study, colours));
+    toggled("region", study.excluded ? "region, and what it excludes" : "region", region(study, colours));
     if (study.bounds.length || study.base_area) {
       const limits = bounds(study, colours);
       view.bases = new Changing(colours.base, 0.9);
@@ -147,10 +146,10 @@ function bodyControls(view, panel, mounts) {
     if (study.zones.length) toggled("zones", "zones", zones(study, stage, colours));
     if (study.misses && (about.live || about.misses)) {
       view.missed = new Missed();
-      toggled("missed", "what is missed on the ground", view.missed.object, stage.vehicle, !view.cloud);
+      toggled("missed", "what is missed on the ground", view.missed.object);
     }
     view.worst = new Worst(stage, colours);
-    toggled("bodies", "worst subspaces", view.worst.object);
+    toggled("bodies", "worst subspaces", view.worst.object, stage.vehicle, about.shows_worst);
     if (about.evaluation.blind) {
       view.blind = new Changing(colours.blind, 0.22);
       toggled("blind", "what no sensor sees", view.blind.object, stage.vehicle, false);
@@ -190,7 +189,10 @@ function studyControls(view, panel) {
     panel.append(view.misses.element);
     if (about.misses) showMisses(view, about.misses);
   }
-  view.figures = new EvaluationSection(about, (count) => show(view, view.evaluation, count));
+  view.figures = new EvaluationSection(about, (count) => {
+    if (!view.worst.object.visible) document.getElementById("bodies").click();
+    show(view, view.evaluation, count);
+  });
   panel.append(view.figures.element);
   show(view, about.evaluation, Math.min(about.worst, about.evaluation.worst.length));
 }
@@ -282,6 +284,7 @@ function cameraControls(view, panel) {
   const follow = check("follow", "follow the vehicle", false, (on) => {
     view.tracks.following = on;
   });
-  const parts = [el("div", { className: "row" }, ...looks), el("div", { className: "row" }, fit, button)];
-  panel.append(section("Look", ...parts, view.about.timeline?.drives ? follow : null, text));
+  const save = push("save-picture", "Save picture", async () => download(await stage.picture(), "lidarcfg.png"));
+  const parts = [el("div", { className: "row" }, ...looks), el("div", { className: "row" }, fit, button, save)];
+  panel.querySelector("h1").after(section("Look", ...parts, view.about.timeline?.drives ? follow : null, text));
 }

@@ -14,6 +14,8 @@ export function el(tag, props = {}, ...children) {
 export const number = (value, digits = 0) =>
   value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits, signDisplay: "negative" });
 
+const counted = (points) => `${number(points)} ${points === 1 ? "point" : "points"}`;
+
 export function section(title, ...children) {
   return el("fieldset", {}, el("legend", { textContent: title }), ...children);
 }
@@ -41,11 +43,18 @@ export function push(id, text, onClick) {
   return button;
 }
 
+export function download(blob, name) {
+  const link = el("a", { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
+
 // Sensors with their number of points; each can be hidden.
 export function sensorSection(about, onShow) {
   const counts = new Map((about.points?.sensors ?? []).map(({ name, count }) => [name, count]));
+  if (!about.sensors.length) return null;
   const rows = about.sensors.map(({ name, colour }, i) => {
-    const count = counts.has(name) ? `${number(counts.get(name))} points` : "";
+    const count = counts.has(name) ? counted(counts.get(name)) : "";
     return check(`sensor-${i}`, name, true, (on) => onShow(name, on), colour, count);
   });
   return section("Sensors", el("div", { className: "scroll" }, ...rows));
@@ -65,8 +74,8 @@ export function colourSection(about, onColour) {
   };
   choice.addEventListener("change", show);
   show();
-  const total = el("span", { className: "count", textContent: `${number(points.count)} points` });
-  return section("Points", el("label", {}, "Coloured by", choice, total), legend);
+  const total = el("span", { className: "count", textContent: counted(points.count) });
+  return section("Points", el("label", {}, "colour", choice, total), legend);
 }
 
 function legendOf(mode, points, colours) {
@@ -75,7 +84,7 @@ function legendOf(mode, points, colours) {
     const rows = points.objects
       .filter(({ count }) => count)
       .sort((a, b) => b.count - a.count)
-      .map(({ name, colour, count }) => entry(colour, name, `${number(count)} points`));
+      .map(({ name, colour, count }) => entry(colour, name, counted(count)));
     return [el("div", { className: "scroll" }, ...rows)];
   }
   const [low, high] = points.spans[mode];

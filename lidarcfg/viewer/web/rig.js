@@ -1,7 +1,7 @@
 // The rig's sensors: which one has the handles, its pose in numbers, undo and redo, and where the rig is saved.
 
 import { ask } from "lidarcfg/data";
-import { el, push, section } from "lidarcfg/panel";
+import { download, el, push, section } from "lidarcfg/panel";
 
 const COORDINATES = [["x", "m"], ["y", "m"], ["z", "m"], ["roll", "°"], ["pitch", "°"], ["yaw", "°"]];
 
@@ -29,7 +29,7 @@ export class RigSection {
       this.partners(),
       this.stale,
       el("div", { className: "row" }, ...this.steps, push("reset", "Reset", () => handles.reset())),
-      el("div", { className: "row" }, about.file ? push("save", "Save …", () => this.save()) : null, push("download", "Download rig.yaml", () => download(handles.poses))),
+      el("div", { className: "row" }, about.file ? push("save", "Save …", () => this.save()) : null, push("download", "Download rig.yaml", () => downloadRig(handles.poses))),
     );
     this.mode("translate");
     this.select(null);
@@ -128,9 +128,6 @@ function agreed([title, text], yes) {
   });
 }
 
-async function download(poses) {
-  const file = await (await ask("rig.yaml", { poses })).blob();
-  const link = el("a", { href: URL.createObjectURL(file), download: "rig.yaml" });
-  link.click();
-  URL.revokeObjectURL(link.href);
+async function downloadRig(poses) {
+  download(await (await ask("rig.yaml", { poses })).blob(), "rig.yaml");
 }

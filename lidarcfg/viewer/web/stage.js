@@ -175,6 +175,19 @@ export class Stage {
     return numbers.map((value) => Number(value.toFixed(3))).join(",");
   }
 
+  // A PNG of what is shown, with its labels.
+  picture() {
+    this.draw(); // the browser keeps it only until it has shown it
+    const { width, height } = this.canvas;
+    const canvas = Object.assign(document.createElement("canvas"), { width, height });
+    const context = canvas.getContext("2d");
+    context.drawImage(this.canvas, 0, 0);
+    const ratio = this.renderer.getPixelRatio();
+    context.scale(ratio, ratio);
+    this.labels.draw(context);
+    return new Promise((resolve) => canvas.toBlob(resolve));
+  }
+
   moved() {
     this.movedAt = performance.now();
     this.redraw();

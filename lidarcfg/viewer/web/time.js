@@ -16,11 +16,12 @@ export class TimeSection {
     this.when = el("div", { className: "dim", id: "when" });
     const whole = timeline.drives ? "whole recording, deskewed" : "whole recording";
     const count = el("span", { className: "count", textContent: `${number(frames.length)} × ${number(frame * unit_s * 1000)} ms` });
+    const many = frames.length > 1;
     this.element = section(
       "Time",
-      points ? el("label", {}, this.every, whole, count) : null,
-      el("div", { className: "row" }, this.button, this.slider),
-      points ? el("label", {}, "scans accumulated", this.joined) : null,
+      many && points ? el("label", {}, this.every, whole, count) : null,
+      many ? el("div", { className: "row" }, this.button, this.slider) : null,
+      many && points ? el("label", {}, "scans accumulated", this.joined) : null,
       this.when,
     );
     this.refresh();
