@@ -67,6 +67,7 @@ def write_template(
         closed=body.closed,
         looks=" and ".join(body.looks),
         rig=rig and rig_path,
+        apart_m=round(min(0.3, (body.high_m[1] - body.low_m[1]) / 6), 2),
         **_study(body.low_m, body.high_m),
     )
     for new in (path, *copied, *((rig_path,) if rig else ())):

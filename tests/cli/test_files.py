@@ -152,11 +152,11 @@ def test_a_study_begins_with_a_robot_and_its_rig(tmp_path):
     written = write_template("study", tmp_path / "my.yaml", "delivery-robot", (said := []).append)
     names = ["my.yaml", "delivery-robot.urdf", "delivery-robot-lid.stl", "my-rig.yaml"]
     assert [path.name for path in written] == names
-    assert any("left out of the body, as LiDARs: vlp16, mid360_front" in line for line in said)
+    assert any("left out of the body, as LiDARs: vlp16, airy_front" in line for line in said)
     study = load_study(written[0])
     rig = load_rig(written[3])
     assert study.region.min_m[2] == -0.1
-    assert [mount.model for mount in rig.mounts] == ["vlp-16", "mid-360"]
+    assert [mount.model for mount in rig.mounts] == ["vlp-16", "airy"]
     own = rig_vehicle(rig)
     assert np.array_equal(own.scene.vertices_m, study.vehicle.scene.vertices_m)
     assert (own.warnings, study.vehicle.warnings) == ((), ())

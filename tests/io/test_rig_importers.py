@@ -260,20 +260,20 @@ def test_a_urdf_becomes_a_rig_on_its_body(here):
     rig, said = converted("robot/delivery-robot.urdf")
     assert {mount.name: mount.position_m for mount in rig.mounts} == {
         "vlp16": pytest.approx((0.1, 0, 0.5777)),
-        "mid360_front": (0.34, 0, 0.15),
+        "airy_front": (0.34, 0, 0.15),
     }
     (mesh,) = rig.vehicle.values["meshes"]
     assert mesh["file"] == str(here / "robot/delivery-robot.urdf")
-    assert mesh["without"] == ("vlp16", "mid360_front")
+    assert mesh["without"] == ("vlp16", "airy_front")
     body = rig_vehicle(rig)
     check_outside(body, rig.mounts)
     assert body.body_at(np.array((0, 0, 0.2))) == "body"
     assert body.warnings == ()
     assert [line.partition(".urdf: ")[2] for line in said[:2]] == [
-        "left out of the body, as LiDARs: vlp16, mid360_front",
+        "left out of the body, as LiDARs: vlp16, airy_front",
         "its lowest point is at z = -0.100 m: the ground is there, though a scene's is mostly at 0",
     ]
-    kept, _ = converted("robot/delivery-robot.urdf", "--model", "mid360_front=none")
+    kept, _ = converted("robot/delivery-robot.urdf", "--model", "airy_front=none")
     assert [mount.name for mount in kept.mounts] == ["vlp16"]
     assert kept.vehicle.values["meshes"][0]["without"] == ("vlp16",)
 

@@ -63,7 +63,7 @@ def test_the_delivery_robot_is_where_another_parser_puts_it():
     robot = URDF.from_xml_string(ROBOT.read_text().split("?>", 1)[1])
     body = robot_body(ROBOT)
     links = {link.name: link for link in robot.links}
-    assert body.without == ("vlp16", "mid360_front")
+    assert body.without == ("vlp16", "airy_front")
     assert set(body.links) == {name for name, link in links.items() if link.visuals or link.collisions} - {
         *body.without
     }
