@@ -18,6 +18,12 @@ def has_values(count: int) -> str:
     return f"has {count:,} value{'s' * (count != 1)}"
 
 
+def a_thing(value: object) -> str:
+    """The class of a value of Python's with its article."""
+    name = type(value).__name__
+    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
+
+
 def reason(error: OSError) -> str:
     """Why the operating system refused, such as `no such file or directory`."""
     return (error.strerror or str(error)).lower()
