@@ -13,6 +13,11 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+def has_values(count: int) -> str:
+    """What a list has: has 1 value, has 2 values."""
+    return f"has {count:,} value{'s' * (count != 1)}"
+
+
 def a_thing(value: object) -> str:
     """The class of a value of Python's with its article."""
     name = type(value).__name__

@@ -19,13 +19,12 @@ from lidarcfg.capture.pcap import Datagram
 from lidarcfg.capture.sender import PacedSender, Receiver
 from lidarcfg.config.models import Given
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
-from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.motion import Trajectory
-from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.scene import Scene
 from lidarcfg.world.vehicle import Vehicle
 
 STEP_S = 0.04
@@ -84,8 +83,8 @@ class Live:
         self._on_message = on_message
         receivers = [Receiver.parse(target) for target in targets]
         drive = SceneDrive.load(
-            loaded(rig, load_rig, Rig),
-            loaded(scene, load_scene, Scene),
+            rig,
+            scene,
             0.0,
             at=at,
             trajectory=trajectory,

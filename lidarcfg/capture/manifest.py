@@ -6,13 +6,13 @@ import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import PrivateAttr
+from pydantic import BeforeValidator, PrivateAttr
 
 import lidarcfg
-from lidarcfg.config.models import Model, Positive, error_at, load
+from lidarcfg.config.models import Model, Positive, as_model, error_at, load, validation_error
 from lidarcfg.errors import ConfigError, reason
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, angles, pose
@@ -96,6 +96,16 @@ class Input(FileDigest):
     files: tuple[FileDigest, ...] | None = None  # meshes, height fields, maps of points, the sensors' own files
 
 
+def _input_or_none(value: Any) -> Any:
+    """A validator: no vehicle at all, or the file of one."""
+    if isinstance(value, str) and value != NO_VEHICLE:
+        raise validation_error(f"{value!r} is not allowed; allowed: {NO_VEHICLE}, or file and sha256")
+    return value if value == NO_VEHICLE or value is None else as_model(Input, value)
+
+
+InputOrNone = Annotated[Input | Literal["none"], BeforeValidator(_input_or_none)]
+
+
 class InjectedFault(Model):
     """A fault of a capture, as it was made."""
 
@@ -119,7 +129,7 @@ class CaptureManifest(Model):
     rig: Input
     scene: Input | None = None  # none: it was in no file, and cannot be in one of its own
     trajectory: Input | None = None
-    vehicle: Input | Literal["none"] | None = None  # none at all; or the rig's, if it names one
+    vehicle: InputOrNone | None = None  # none at all; or the rig's, if it names one
     models: dict[str, str] | None = None  # the catalogue's sensors in the rig, and the sha256 of their files
     at: str  # where the vehicle starts, as `parse_pose` reads it
     start: str  # ISO 8601; UTC unless it names a zone

@@ -110,11 +110,8 @@ def export(**given: Any) -> None:
         from lidarcfg.capture.manifest import manifest_path
         from lidarcfg.files import check_replaceable
         from lidarcfg.study.checks import rig_warnings
-        from lidarcfg.world.vehicle import check_outside
 
         drive = options.inputs.load()
-        if drive.vehicle:
-            check_outside(drive.vehicle, drive.rig.mounts, options.rig)
     warn_of(drive.vehicle)
     for message in rig_warnings(options.rig, vehicle=drive.vehicle):
         warn(message)

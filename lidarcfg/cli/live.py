@@ -94,6 +94,7 @@ def live(
     from lidarcfg.capture.live import Live
     from lidarcfg.capture.manifest import parse_pose, parse_time_ns
     from lidarcfg.capture.pose_reader import PoseLines, PoseReader
+    from lidarcfg.study.checks import rig_warnings
 
     def say(message: str) -> None:
         if not quiet:
@@ -112,6 +113,8 @@ def live(
         on_message=say,
     )
     warn_of(one.drive.vehicle)
+    for message in rig_warnings(rig, vehicle=one.drive.vehicle):
+        warn(message)
     interrupted = False
     with ExitStack() as stack:
         if poses:

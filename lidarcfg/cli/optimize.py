@@ -58,11 +58,14 @@ class Options:
 
     def load(self) -> "Study":
         """The study with these budgets, seed and solver. Raises ConfigError."""
-        from lidarcfg.study.loading import load_study
+        from lidarcfg.files import example
+        from lidarcfg.study.loading import check_firing, load_study
         from lidarcfg.study.study import with_solver
 
         budget = {"cycles": self.cycles, "evaluations": self.evaluations, "seconds": self.seconds}
-        return with_solver(load_study(self.study), seed=self.seed, method=self.solver, **budget)
+        study = load_study(self.study)
+        check_firing(study, example(self.study))
+        return with_solver(study, seed=self.seed, method=self.solver, **budget)
 
     def check(self, study: "Study") -> None:
         """Raises UsageError for options that do not go together, or not with a study."""

@@ -7,6 +7,7 @@ import click
 import cloup
 
 from lidarcfg.cli.options import FILE, quiet_option, warn
+from lidarcfg.cli.progress import progress
 from lidarcfg.errors import LidarcfgError, one_line
 
 
@@ -28,9 +29,11 @@ def validate(files: tuple[Path, ...], quiet: bool) -> None:
     from lidarcfg.report.summaries import summary
 
     failed = False
-    for file in files:
+    for number, file in enumerate(files):
         try:
-            found = summary(file)
+            with progress(quiet, keep=False) as on_progress:
+                on_progress(number / len(files), f"reading {file}")
+                found = summary(file)
         except LidarcfgError as error:
             for line in str(error).split("\n"):
                 click.echo(f"lidarcfg: {line}", err=True)

@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from lidarcfg.config.document import Document, Key, document, key_text, read_text
 from lidarcfg.config.kinds import OTHERS, a_file_of, kind_of
-from lidarcfg.errors import ConfigError, LidarcfgError, a_thing
+from lidarcfg.errors import ConfigError, LidarcfgError, a_thing, has_values
 from lidarcfg.files import example
 
 Vec3 = tuple[float, float, float]
@@ -293,7 +293,7 @@ def _message(item: Any, model: type[Model]) -> str:
         most = context.get("max_length")
         allowed = f"exactly {least}" if least == most else f"at least {least}" if least else f"at most {most}"
         count = context["actual_length"]
-        return f"has {count} {'value' if count == 1 else 'values'}; allowed: {allowed}"
+        return f"{has_values(count)}; allowed: {allowed}"
     limits = {key: shown(value) for key, value in context.items() if key != "expected"}
     plural = "s" * (context.get("min_length") != 1)
     return ERROR_MESSAGES.get(kind, "{got} is not allowed").format_map(

@@ -6,7 +6,7 @@ from typing import Annotated, Generic, TypeVar
 from pydantic import Field
 
 from lidarcfg.config.models import Model, Section
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, has_values
 from lidarcfg.sensors.sensor import Range, Sensor
 
 Nanoseconds = Annotated[int, Field(ge=-(10**9), le=10**9)]
@@ -58,6 +58,6 @@ def check_firing(section: Section, firing: SequenceFiring, sensor: Sensor) -> No
     offsets = firing.offset_ns
     key = ("firing", "offset_ns")
     if len(offsets) != sensor.count:
-        raise section.error(key, f"has {len(offsets)} values; allowed: {sensor.count}, one a beam")
+        raise section.error(key, f"{has_values(len(offsets))}; allowed: {sensor.count}, one a beam")
     if max(offsets) - min(offsets) >= firing.sequence_ns:
         raise section.error(key, f"a firing lies beyond the sequence's {firing.sequence_ns} ns")

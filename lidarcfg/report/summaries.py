@@ -21,7 +21,7 @@ from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.solvers.solver import BUDGETS
 from lidarcfg.study.checks import rig_warnings, study_warnings
-from lidarcfg.study.loading import load_study
+from lidarcfg.study.loading import check_firing, load_study
 from lidarcfg.world.motion import load_path
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_vehicle
@@ -49,6 +49,7 @@ def summary(path: str | Path) -> Summary:
 
 def _study(path: Path) -> tuple[str, Iterable[str]]:
     study = load_study(path)
+    check_firing(study, path)
     free = study.space.dimensions
     solver = study.solver
     limits = {key: getattr(solver, key) for key in sorted(BUDGETS)}
@@ -56,7 +57,7 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
     search = f"{solver.method} searches {free} free coordinates for {budget}" if free else "nothing is free to move"
     sensors = _models(slot.model for slot in study.slots)
     if study.to_choose:
-        sensors = f"{len(combinations(study)):,} combinations of sensors"
+        sensors = f"{counted(len(combinations(study)), 'combination')} of sensors"
     what = "to minimise a weighted mean"
     if study.objective.is_max_vsr:
         what = "to minimise max VSR"

@@ -18,10 +18,9 @@ from lidarcfg.config.document import Document, Key, document
 from lidarcfg.config.models import Model, checked, error_at, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
-from lidarcfg.returns.scanners import scanners_of
 from lidarcfg.search.workers import versions
 from lidarcfg.study.file import StudyFile
-from lidarcfg.study.loading import study_of
+from lidarcfg.study.loading import check_firing, study_of
 from lidarcfg.study.study import Study
 
 RUNS_MAX = 100_000
@@ -174,8 +173,7 @@ class Studies:
                 raise error_at(self.path, ("sensors",), what)
             if not study.space.free.any():
                 raise error_at(self.path, ("sensors",), "nothing is free to move; every bound is equal")
-            if study.detection_targets:
-                scanners_of(study.rig(study.space.lower).mounts)  # an error comes before the search
+            check_firing(study, self.path)
             content = hashlib.sha256()
             for field in fields(study):
                 if field.name != "solver":

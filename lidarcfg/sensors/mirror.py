@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lidarcfg.config.models import Model, validation_error
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, has_values
 from lidarcfg.geometry import Array, Times
 from lidarcfg.units import MINUTE_NS
 
@@ -53,7 +53,7 @@ class Mirror(Model):
     def _check(self) -> "Mirror":
         for k, offsets in enumerate(self.offset_ns):
             if len(offsets) != len(self.offset_ns[0]):
-                what = f"has {len(offsets)} values; allowed: {len(self.offset_ns[0])}, as the first"
+                what = f"{has_values(len(offsets))}; allowed: {len(self.offset_ns[0])}, as the first"
                 raise validation_error(what, "offset_ns", k)
             if max(offsets) >= self.column_ns:
                 raise validation_error(f"a firing lies beyond the column's {self.column_ns:.0f} ns", "offset_ns", k)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidarcfg.config.models import FileName, Model, validation_error
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, has_values
 from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.inputs import read_regular
 from lidarcfg.sensors.mirror import UNITS, Mirror, MirrorAngles, mirror_columns, parse_mirror_angles
@@ -222,7 +222,7 @@ def _read_npz(path: Path) -> dict[str, NDArray[Any]]:
             what = f"has {array.ndim} axes of {array.dtype}; allowed: one axis of numbers"
             raise ConfigError(f"{path}: {name}: {what}")
         if len(array) != len(columns["time_ns"]):
-            raise ConfigError(f"{path}: {name}: has {len(array):,} values; time_ns has {len(columns['time_ns']):,}")
+            raise ConfigError(f"{path}: {name}: {has_values(len(array))}; time_ns has {len(columns['time_ns']):,}")
     return columns
 
 

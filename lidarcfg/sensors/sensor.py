@@ -29,7 +29,7 @@ from lidarcfg.config.models import (
     validation_error,
     with_faults,
 )
-from lidarcfg.errors import ConfigError, a_thing
+from lidarcfg.errors import ConfigError, a_thing, has_values
 from lidarcfg.files import shipped
 from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.realism import MeasuredRealism
@@ -98,7 +98,7 @@ def check_lengths(tables: Model, count: int) -> None:
     for key in type(tables).model_fields:
         value = getattr(tables, key)
         if isinstance(value, tuple) and len(value) not in (0, count):
-            raise validation_error(f"has {len(value)} values; allowed: {count}, one a beam", key)
+            raise validation_error(f"{has_values(len(value))}; allowed: {count}, one a beam", key)
 
 
 class Rotation(Model):
@@ -244,7 +244,7 @@ class Sensor(Model):
         if self.firing and self.codec:
             raise validation_error(f"belongs under {self.codec}: with a codec, that says when lasers fire", "firing")
         if self.firing and len(self.firing.offset_ns) not in (0, self.count):
-            what = f"has {len(self.firing.offset_ns)} values; allowed: {self.count}, one a beam"
+            what = f"{has_values(len(self.firing.offset_ns))}; allowed: {self.count}, one a beam"
             raise validation_error(what, "firing", "offset_ns")
         if self.rotation and self.rotation.rpm_min > self.rotation.rpm_max:
             raise validation_error(

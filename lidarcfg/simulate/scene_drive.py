@@ -14,7 +14,7 @@ from lidarcfg.simulate.drive import trajectory_of
 from lidarcfg.units import SECOND_NS, START_NS
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, load_scene
-from lidarcfg.world.vehicle import Vehicle, resolve_vehicle
+from lidarcfg.world.vehicle import Vehicle, check_outside, resolve_vehicle
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,14 @@ class SceneDrive:
         if not (at is None or isinstance(at, Trajectory)):
             at = checked_pose("at", at)
         moving = trajectory_of(at, trajectory, start_ns)
+        bodies = resolve_vehicle(mounted, vehicle)
+        if bodies:
+            check_outside(bodies, mounted.mounts, Path(rig) if isinstance(rig, str | Path) else None)
         return cls(
             mounted,
             loaded(scene, load_scene, Scene),
             moving,
-            resolve_vehicle(mounted, vehicle),
+            bodies,
             start_ns,
             round(duration_s * SECOND_NS),
         )

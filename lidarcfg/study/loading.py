@@ -31,7 +31,7 @@ from lidarcfg.study.return_counts import DetectionTarget, detection_target, targ
 from lidarcfg.study.study import Study
 from lidarcfg.study.terms.misses import MissesTerm
 from lidarcfg.study.zones import Zone, zone
-from lidarcfg.vsr.detection import check_fits
+from lidarcfg.vsr.detection import check_places
 from lidarcfg.vsr.region import Region
 from lidarcfg.vsr.visibility import Visibility
 from lidarcfg.world.scene import Scene, load_scene
@@ -95,17 +95,23 @@ def study_of(file: StudyFile, path: Path) -> Study:
         file=_resolved(file, found, slots, choices, path),
     )
     if detection_targets:
-        _check_scanners(file, study, path)
+        check_firing(study, path)
     return study
 
 
-def _check_scanners(file: StudyFile, study: Study, path: Path) -> None:
-    """Raises ConfigError for sensors of which it is not known how they fire."""
-    groups = [number for number, group in enumerate(file.sensors) for _ in range(group.count)]
+def check_firing(study: Study, path: Path) -> None:
+    """Raises ConfigError for sensors of a study's file of which it is not known how they fire, if that counts."""
+    if not (study.detection_targets or study.requirements or study.objective.misses):
+        return
+    only_misses = not (study.detection_targets or study.requirements)
+    groups = [number for number, group in enumerate(study.file["sensors"]) for _ in range(group["count"])]
     for mount, slot, number in zip(study.rig(study.space.lower).mounts, study.slots, groups, strict=True):
         for sensor in [choice.sensor for choice in slot.choices if choice] or [slot.sensor]:
-            with errors_at(path, "sensors", number):
+            try:
                 scanners_of([replace(mount, sensor=sensor)])
+            except ConfigError as error:
+                what = f"{error}{'; or give the study objective: {max_vsr: 1}' * only_misses}"
+                raise error_at(path, ("sensors", number), what) from None
 
 
 def _surroundings(file: StudyFile, path: Path) -> Scene | None:
@@ -136,7 +142,7 @@ def _detection_targets(file: StudyFile, region: Region, path: Path) -> tuple[Det
                     found[item.appearance] = detection_target(region, item, target(item, region, path.parent))
                 every.append(replace(found[item.appearance], item=item))
             else:
-                check_fits(item, region)
+                check_places(item, region)
     return tuple(every)
 
 

@@ -202,6 +202,13 @@ def free_places(region: Region, item: DetectionObject) -> list[int]:
     return [count for count in counts if count]
 
 
+def check_places(item: DetectionObject, region: Region) -> None:
+    """Raise ConfigError where an object is larger than the region, or has no place that is free of exclusions."""
+    check_fits(item, region)
+    if not region.included.all() and sum(free_places(region, item)) == 0:
+        raise ConfigError(f"{item.name}: has no free place in the region")
+
+
 def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], limit: float) -> float:
     """1 − the rate of `detection`; or, once it is known to be at least `limit`, any number that is.
 

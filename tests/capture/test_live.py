@@ -292,6 +292,10 @@ def test_mistakes(tmp_path):
         ("127.0.0.1", "--emulate"): "no sensor that can be emulated",
     }.items():
         assert message in lidarcfg(*words, *more, code=2).stderr
+    path.write_text(path.read_text() + "vehicle: {boxes: [{name: body, center_m: [0, 0, 1], size_m: [4, 2, 3]}]}\n")
+    said = lidarcfg("validate", path, code=2).stderr
+    assert f"{path}:2:11: sensors[0]: a is inside the vehicle's 'body'" in said
+    assert lidarcfg(*words, "127.0.0.1", code=2).stderr == said
 
 
 @pytest.mark.slow

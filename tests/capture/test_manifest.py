@@ -47,6 +47,22 @@ def test_nothing_is_said_twice(here):
     assert "capture manifest: 0.02 s" in lidarcfg("validate", "drive.pcap.yaml", cwd=here).stdout
 
 
+@pytest.mark.parametrize(
+    ("vehicle", "said"),
+    [
+        ("{file: a.yaml, sha256: '0', c: 1}", "vehicle.c: unknown key; allowed: file, sha256, files"),
+        ("{file: a.yaml}", "vehicle.sha256: missing"),
+        ("5", "vehicle: 5 is not a map of keys"),
+        ("body", "vehicle: 'body' is not allowed; allowed: none, or file and sha256"),
+    ],
+)
+def test_a_vehicle_that_is_none(here, vehicle, said):
+    """Errors name keys as the file has them."""
+    text = (here / "drive.pcap.yaml").read_text()
+    (here / "odd.yaml").write_text(f"{text}vehicle: {vehicle}\n")
+    assert said in lidarcfg("validate", "odd.yaml", code=2, cwd=here).stderr
+
+
 def test_what_has_changed_is_not_taken(here):
     motion = (here / "motion.yaml").read_text()
     try:

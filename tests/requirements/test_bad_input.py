@@ -122,6 +122,27 @@ def test_requirements_that_ask_for_nothing(command, tmp_path):
     assert said == f"lidarcfg: {path}:8:1: requirements: asks for nothing; give a requirement, or remove the key\n"
 
 
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        (f"requirements:\n  - {{name: a, {CHILD}, within_m: [1, 2]}}\n", ""),
+        ("requirements:\n  - {name: a, sensors_at_most: 2}\nobjective: {max_vsr: 1}\n", ""),
+        ("", "; or give the study objective: {max_vsr: 1}"),
+    ],
+)
+def test_a_model_of_which_it_is_not_known_how_it_fires(text, hint, tmp_path):
+    """The fans of the paper have beams and nothing else: validate says so as optimize does, also of one to choose."""
+    path = study(tmp_path, "")
+    said = f"sensor 'fan-4' has no codec, which would say where its lasers fire; add firing to its file{hint}\n"
+    plain = path.read_text().partition("requirements:")[0]
+    for model in ("model: fan-4", "choose: [vlp-16, fan-4]"):
+        path.write_text(plain.replace("model: vlp-16", model) + text + "prices: {vlp-16: 1, fan-4: 1}\n")
+        for command in ("validate", "optimize"):
+            told = lidarcfg(command, path, code=2).stderr
+            assert told.startswith(f"lidarcfg: {path}:4:5: sensors[0]: "), command
+            assert told.endswith(said), command
+
+
 def test_a_model_without_a_price(tmp_path):
     path = study(tmp_path, "price_at_most: 100")
     text = path.read_text()

@@ -191,7 +191,7 @@ def test_only_facts_that_something_reads_are_required(tmp_path):
     [
         ({"firing": {}}, "firing: give step_deg or sequence_ns, one of them"),
         ({"firing": {"step_deg": 1, "sequence_ns": 5}}, "firing: give step_deg or sequence_ns, one of them"),
-        ({"firing": {"step_deg": 1, "offset_ns": [0]}}, "firing.offset_ns: has 1 values; allowed: 4, one a beam"),
+        ({"firing": {"step_deg": 1, "offset_ns": [0]}}, "firing.offset_ns: has 1 value; allowed: 4, one a beam"),
         ({"azimuth_fov_deg": [20, 20]}, "azimuth_fov_deg: 20 to 20 is empty"),
         ({"codec": "velodyne", "velodyne": {}, "firing": {"step_deg": 1}}, "firing: belongs under velodyne"),
     ],

@@ -67,6 +67,7 @@ def test_no_lidar_of_the_sedan_can_hang_upside_down():
         ("method: abc", "method: de", "solver.method: 'de' is gone; use auto"),
         ("{name: box", "{name: box, size_m: [1, 1, 1]}, {name: box", "detection[1].name: 'box' is an object already"),
         ("[1, 1, 1]", "[1, 1, 9]", "study.yaml:7:13: detection[0]: box: size_m[2]: 9 is more than the region's 3 along z"),
+        ("[5, 3, 0], max_m: [7, 5, 3]", "[0, 0.5, 0], max_m: [12, 7.5, 3]", "detection[0]: box: has no free place in the region"),
         ("[7, 5, 2.5]", "[7, 5, 0.5]", "sensors[0].max: its z is below min's"),
         ("model: fan-4, ", "model: fan-5, ", "study.yaml:5:6: sensors[1].model: no sensor is called 'fan-5'"),
         ("model: fan-4, ", "model: fan-4, name: lidar, count: 2, ", "study.yaml:5:5: sensors[1]: two are called 'lidar_0'"),

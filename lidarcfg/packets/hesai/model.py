@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lidarcfg.config.models import Model, validation_error
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, has_values
 from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.hesai.layout import (
@@ -283,7 +283,7 @@ def unit(sensor: Sensor) -> HesaiUnit:
     for name, firing in (("firing", facts.firing), ("high_resolution", facts.high_resolution)):
         for i, loop in enumerate(firing.loops if firing else ()):
             if len(loop) != sensor.count:
-                what = f"has {len(loop)} values; allowed: {sensor.count}, one a beam"
+                what = f"{has_values(len(loop))}; allowed: {sensor.count}, one a beam"
                 raise section.error((name, "loops", i), what)
     if sensor.count > 255:
         raise ConfigError(f"sensor {sensor.name!r} has {sensor.count} beams; a header says 255 at most")

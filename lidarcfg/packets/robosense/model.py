@@ -8,6 +8,7 @@ from pydantic import Field
 
 from lidarcfg.config.models import Model
 from lidarcfg.core import packets as core
+from lidarcfg.errors import has_values
 from lidarcfg.geometry import Times
 from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.robosense.layout import HELIOS, RETURN, SERIES, Series
@@ -137,7 +138,7 @@ def unit(sensor: Sensor) -> RobosenseUnit:
             raise section.error(("installed", k, "offset_ns"), what)
     together = max(series.slots, sensor.count)
     if facts.driver and len(facts.driver.offset_ns) != together:
-        what = f"has {len(facts.driver.offset_ns)} values; allowed: {together}, one for each return of an azimuth"
+        what = f"{has_values(len(facts.driver.offset_ns))}; allowed: {together}, one for each return of an azimuth"
         raise section.error(("driver", "offset_ns"), what)
     return RobosenseUnit(sensor, facts)
 

@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from lidarcfg.config.models import Model, Positive, validation_error
+from lidarcfg.errors import has_values
 from lidarcfg.geometry import Array, Times
 from lidarcfg.packets.headers import Header, Network
 from lidarcfg.packets.sensor_unit import SensorUnit, SequenceFiring, check_firing
@@ -156,7 +157,7 @@ class VelodyneFacts(Model):
     def _check(self) -> "VelodyneFacts":
         flags = self.packet.block_flags
         if len(flags) not in GROUP_BLOCKS:
-            what = f"has {len(flags)} values; allowed: {', '.join(map(str, GROUP_BLOCKS))}"
+            what = f"{has_values(len(flags))}; allowed: {', '.join(map(str, GROUP_BLOCKS))}"
             raise validation_error(f"{what}, which divide a packet's {BLOCKS} blocks", "packet", "block_flags")
         if self.position_packet and self.headers and not self.headers.position:
             raise validation_error("missing, as there is a position_packet", "headers", "position")

@@ -255,7 +255,7 @@ def test_what_cannot_be_read_says_why(tmp_path, sensor):
             {"installed": ({"mode": 1, "offset_ns": (0,)},)},
             "robosense.installed[0].offset_ns: must be 96 values, one a beam",
         ),
-        ({"driver": {"offset_ns": (0,), "sequence_ns": 1}}, "robosense.driver.offset_ns: has 1 values; allowed: 96"),
+        ({"driver": {"offset_ns": (0,), "sequence_ns": 1}}, "robosense.driver.offset_ns: has 1 value; allowed: 96"),
     ],
 )
 def test_facts_that_cannot_be(change, what):
