@@ -219,9 +219,10 @@ def _misses(it: _Reported, rigs: tuple[SeenBy, ...]) -> PageSection:
     weights = " by their weights" * (len(set(rigs[0].misses.weights.tolist())) > 1)
     side_m = missed_map(rigs[0].misses).side_m
     caption = (
-        f"From above, the same places and colours for both: in each square of {side_m:g} m, the share of objects that is "
-        f"missed, over all objects{weights}; white: no place. Dots: where a {truncate(worst_object(rigs[0].misses).name)}, "
-        "which this rig misses most, is missed in at least half of the sensors' phases. Grey: the vehicle; coloured: "
+        f"From above, the same places and colours for both: in each square of {side_m:g} m, the share of objects that "
+        f"is missed, over all objects{weights}; white: no place. Dots: where a "
+        f"{truncate(worst_object(rigs[0].misses).name)}, which this rig misses most, is missed in at least half of the "
+        "sensors' phases. Grey: the vehicle; coloured: "
         "the sensors."
     )
     drawn = draw_misses(it.study.body, [rigs[0], other] if other else [rigs[0]])
