@@ -3,10 +3,12 @@
 
     .venv/bin/python tools/bench_returns.py
 
-Prints the tables of docs/evidence/benchmarks.md, sections "Detection by returns" and "Misses", by processor time.
+Prints the tables of docs/evidence/benchmarks.md, sections "Detection by returns" and "Misses", by processor time. With
+`--patterns` only that of sensors with a scan pattern.
 """
 
 import statistics
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -40,6 +42,20 @@ EVALUATIONS = {"annealing": 2000, "abc": 600}
 REPEATS = 5
 RAYS = 2_000_000
 MOVES = 2000  # of one sensor of a rig
+PATTERN = "mid-360"  # a sensor with a scan pattern, two of it on a robot
+PATTERN_MOVES = 200
+PATTERN_WITHIN_M = (5, 20)  # the default around a robot, and around a car
+ROBOT = """region: {min_m: [-8, -8, 0], max_m: [8, 8, 2], cuboid_m: [0.5, 0.25, 0.1]}
+vehicle: {boxes: [{name: body, center_m: [0, 0, 0.25], size_m: [0.8, 0.6, 0.4]}]}
+sensors:
+  - model: PATTERN
+    min: {position_m: [0.3, -0.3, 0.5], rpy_deg: [-15, 0, -60]}
+    max: {position_m: [0.4, 0.3, 0.7], rpy_deg: [15, 45, 60]}
+  - model: PATTERN
+    min: {position_m: [-0.4, -0.3, 0.5], rpy_deg: [-15, 0, 120]}
+    max: {position_m: [-0.3, 0.3, 0.7], rpy_deg: [15, 45, 240]}
+objective: {misses: {within_m: [0.1, WITHIN]}}
+"""
 JUDGED = 20  # places of each object, by Open3D
 
 
@@ -118,16 +134,42 @@ def searching(study: Study) -> list[list[str]]:
     return rows
 
 
-def moved(study: Study) -> list[np.ndarray]:
-    """The poses of rigs, each with one sensor elsewhere than in the one before."""
+def moved(study: Study, count: int) -> list[np.ndarray]:
+    """The poses of so many rigs, each with one sensor elsewhere than in the one before."""
     rng = np.random.default_rng(1)
     poses = study.space.midpoint.copy()
     found = []
-    for number in range(MOVES):
+    for number in range(count):
         one = number % len(poses)
         poses[one] = study.space.poses(rng.random((1, study.space.dimensions)))[0, one]
         found.append(poses.copy())
     return found
+
+
+def kernel(study: Study, count: int) -> float:
+    """Evaluations a second of the kernel alone, at the places of a search."""
+    misses = study.misses
+    assert misses
+    known = misses.known(SEARCH_PLACES)
+    number = known.numbers(study.rig(study.space.midpoint).mounts)
+    rigs = [RigAt(number, rotations(one[:, 3:]), np.ascontiguousarray(one[:, :3])) for one in moved(study, count)]
+    begun = time.process_time()
+    for rig in rigs:
+        known.misses(rig, misses.weights, misses.returns)
+    return count / (time.process_time() - begun)
+
+
+def scanning() -> list[list[str]]:
+    """A row a distance of objects: median, least and most evaluations a second of two sensors of a scan pattern."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "study.yaml"
+        for within_m in PATTERN_WITHIN_M:
+            path.write_text(ROBOT.replace("PATTERN", PATTERN).replace("WITHIN", str(within_m)))
+            study = load_study(path)
+            found = [kernel(study, PATTERN_MOVES) for _ in range(REPEATS)]
+            rows.append([f"{within_m}", f"{statistics.median(found):,.3g}", f"{min(found):,.3g} to {max(found):,.3g}"])
+    return rows
 
 
 def missing(study: Study) -> list[tuple[str, str]]:
@@ -135,13 +177,7 @@ def missing(study: Study) -> list[tuple[str, str]]:
     misses = study.misses
     assert misses
     rows = []
-    known = misses.known(SEARCH_PLACES)
-    number = known.numbers(study.rig(study.space.midpoint).mounts)
-    rigs = [RigAt(number, rotations(one[:, 3:]), np.ascontiguousarray(one[:, :3])) for one in moved(study)]
-    begun = time.process_time()
-    for rig in rigs:
-        known.misses(rig, misses.weights, misses.returns)
-    rows.append(("evaluations a second, the kernel alone", f"{MOVES / (time.process_time() - begun):,.0f}"))
+    rows.append(("evaluations a second, the kernel alone", f"{kernel(study, MOVES):,.0f}"))
     searched = with_solver(study, method="auto", evaluations=MOVES, seed=1)
     run = search_run(searched)
     assert isinstance(run, MissesRun)
@@ -189,6 +225,14 @@ def judged(study: Study) -> float:
 def main() -> None:
     """Print the tables."""
     print(machine())
+    if "--patterns" not in sys.argv[1:]:
+        rest()
+    print(f"\nMisses of two {PATTERN} on a robot, six objects, {SEARCH_PLACES} places each, one thread:\n")
+    print("\n".join(table(("within (m)", "evaluations a second, the kernel alone", "spread"), scanning())))
+
+
+def rest() -> None:
+    """Print the tables of sensors that turn."""
     print(f"\nFour VLP-16 on the sedan, one thread, {PHASES} phases, {len(places(STEP_M)):,} places:\n")
     header = ("object", "returns a place", "µs a place", "of which Open3D takes for as many rays that hit (µs)")
     print("\n".join(table(header, counting(load_study(ROOT / "data/studies/sedan.yaml")))))

@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 
@@ -191,29 +192,49 @@ def _frame_keys(scale: float, rpy_deg: Vec3, position_m: Vec3) -> tuple[tuple[st
     return tuple(keys), tuple(looks)
 
 
-def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[float]]:
-    """A study's region and the bounds of its sensors, around a vehicle's bounds."""
-    x = 10 * math.ceil((25 + max(abs(low[0]), abs(high[0]))) / 10)
-    y = 5 * math.ceil((8 + max(abs(low[1]), abs(high[1]))) / 5)
+def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, Any]:
+    """A study's region, the bounds of its sensors and what its examples ask, around a vehicle's bounds.
+
+    A robot moves slowly, among people and in any direction: what is near it counts, and its region is a square.
+    """
+    import numpy as np
+
+    from lidarcfg.returns.misses import is_small
+
+    small = is_small(np.array(low[:2]), np.array(high[:2]))
+    if small:
+        x = y = math.ceil(7 + max(map(abs, (*low[:2], *high[:2]))))
+    else:
+        x = 10 * math.ceil((25 + max(abs(low[0]), abs(high[0]))) / 10)
+        y = 5 * math.ceil((8 + max(abs(low[1]), abs(high[1]))) / 5)
     side = (high[1] - low[1]) / 2
     length = high[0] - low[0]
     middle_m = (low[0] + high[0]) / 2
     ground_m = 0.0 if low[2] > -SUNK_M else low[2]
     floor_m = round(ground_m, 2)
-    top_m = floor_m + max(math.ceil(high[2] - floor_m), 4)
+    top_m = floor_m + max(math.ceil(high[2] - floor_m), 2 if small else 4)
+    height = high[2] - low[2]
+    bumper_m = max(low[2], 0) + 0.4, max(low[2], 0) + 0.8
+    if small:
+        bumper_m = low[2] + 0.4 * height, low[2] + 0.8 * height
+    aside_m = 1 if small else 3
     boxes = {
         "low": (-x, -y, floor_m),
         "high": (x, y, top_m),
         "roof_low": (middle_m - length / 8, low[1] + side + side / 4, high[2] + 0.1),
         "roof_high": (middle_m + length / 8, low[1] + side + side / 2, high[2] + 0.4),
-        "front_low": (high[0] + 0.05, -side * 0.7, max(low[2], 0) + 0.4),
-        "front_high": (high[0] + 0.05, side * 0.7, max(low[2], 0) + 0.8),
-        "rear_low": (low[0] - 0.05, -side * 0.7, max(low[2], 0) + 0.4),
-        "rear_high": (low[0] - 0.05, side * 0.7, max(low[2], 0) + 0.8),
+        "front_low": (high[0] + 0.05, -side * 0.7, bumper_m[0]),
+        "front_high": (high[0] + 0.05, side * 0.7, bumper_m[1]),
+        "rear_low": (low[0] - 0.05, -side * 0.7, bumper_m[0]),
+        "rear_high": (low[0] - 0.05, side * 0.7, bumper_m[1]),
         "top_low": (middle_m - length / 8, low[1] + side / 2, (low[2] + high[2]) / 2),
         "top_high": (middle_m + length / 8, high[1] - side / 2, high[2] + 0.1),
-        "ahead_low": (0, -3, floor_m),
-        "ahead_high": (x, 3, floor_m + 2),
-        "ahead_top": (x, 3, floor_m + 3),
+        "ahead_low": (0, -aside_m, floor_m),
+        "ahead_high": (x, aside_m, floor_m + 2),
+        "ahead_top": (x, aside_m, floor_m + (2 if small else 3)),
     }
-    return {key: [round(value, 2) for value in corner] for key, corner in boxes.items()}
+    return {
+        "small": small,
+        "cuboid": [0.5, 0.25, 0.1] if small else [1, 0.5, 0.2],
+        **{key: [round(value, 2) for value in corner] for key, corner in boxes.items()},
+    }

@@ -58,6 +58,7 @@ from lidarcfg.report.text import truncate
 from lidarcfg.report.verdict import remarks
 from lidarcfg.report.verification import requirement_parts
 from lidarcfg.requirements.verify import Verification
+from lidarcfg.returns.missed_map import missed_map
 from lidarcfg.search.run import Placement, at_bounds
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 from lidarcfg.study.evaluation import Worst
@@ -216,10 +217,12 @@ def _requirements(found: Verification, rig: Rig) -> Iterator[Part]:
 def _misses(it: _Reported, rigs: tuple[SeenBy, ...]) -> PageSection:
     other = compared_with(rigs)
     weights = " by their weights" * (len(set(rigs[0].misses.weights.tolist())) > 1)
+    side_m = missed_map(rigs[0].misses).side_m
     caption = (
-        "From above, the same places and colours for both: in each square metre, the share of objects that is missed, "
-        f"over all objects{weights}; white: no place. Dots: where a {truncate(worst_object(rigs[0].misses).name)}, "
-        "which this rig misses most, is missed in at least half of the sensors' phases. Grey: the vehicle; coloured: "
+        f"From above, the same places and colours for both: in each square of {side_m:g} m, the share of objects that "
+        f"is missed, over all objects{weights}; white: no place. Dots: where a "
+        f"{truncate(worst_object(rigs[0].misses).name)}, which this rig misses most, is missed in at least half of the "
+        "sensors' phases. Grey: the vehicle; coloured: "
         "the sensors."
     )
     drawn = draw_misses(it.study.body, [rigs[0], other] if other else [rigs[0]])

@@ -8,6 +8,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.returns.misses import MissesFound
 
 CELL_M = 1.0
+NEAR_M = 10.0  # where no object is farther from the body, cells are smaller
+NEAR_CELL_M = 0.25
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,13 @@ class MissedMap:
         return high
 
 
-def missed_map(found: MissesFound, side_m: float = CELL_M) -> MissedMap:
-    """The mean over the places in each cell, each with the weight of its object; edges are multiples of the side."""
+def missed_map(found: MissesFound, side_m: float | None = None) -> MissedMap:
+    """The mean over the places in each cell, each with the weight of its object; edges are multiples of the side.
+
+    By default the side is 1 m, or 0.25 m if no object is farther than 10 m from the body.
+    """
+    if side_m is None:
+        side_m = CELL_M if found.within_m[1] > NEAR_M else NEAR_CELL_M
     at = np.concatenate([one.places[:, :2] for one in found.objects])
     weight = np.repeat(found.weights, [len(one.places) for one in found.objects])
     missed = weight * np.concatenate([one.probability for one in found.objects])

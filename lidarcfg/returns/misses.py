@@ -33,6 +33,9 @@ from lidarcfg.world.tracer import Obstacles
 
 OBJECTS = ("pedestrian", "child", "cyclist", "tyre", "post", "dog")
 SEARCH_PLACES = 64  # of each object, at first in a search
+SMALL_M = 2.0  # a body no longer than this moves slowly, among people: a robot
+WITHIN_M = (0.1, 20.0)  # how far from the body objects are by default
+WITHIN_SMALL_M = (0.1, 5.0)  # of a small one
 FRESH_PLACES = 4096  # of each object, for what is reported
 SEARCH, FRESH = range(2)  # what places are for: no place of one is one of the other
 SEED = 20180913  # of the draws; combined with what they are for and the object's name
@@ -41,12 +44,17 @@ Z_95 = 1.959963984540054  # of the normal distribution, for intervals of 95 %
 Interval = tuple[float, float]
 
 
+def is_small(low_m: Array, high_m: Array) -> bool:
+    """Whether a body with these bounds from above, (2,) each, is that of a robot rather than of a car."""
+    return bool(np.max(high_m - low_m) <= SMALL_M)
+
+
 class MissesFile(Model):
     """What is missed: objects near the vehicle that get too few returns."""
 
     objects: Annotated[dict[Name, Weight], Field(min_length=1)] = dict.fromkeys(OBJECTS, 1.0)  # of data/objects
     returns: Annotated[int, Field(ge=1, le=1000)] = 3  # with fewer it is missed
-    within_m: Distances = (0.1, 20.0)  # between the object and the body
+    within_m: Distances | None = None  # between the object and the body; none: by the size of the body
     sector_deg: Sector | None = None  # from, to, counter-clockwise from ahead; none: all around
     weight: Weight = 1.0  # beside other terms of an objective
 
@@ -164,12 +172,13 @@ class Misses:
         sector = None
         if file.sector_deg:
             sector = math.radians(file.sector_deg[0]), math.radians(file.sector_deg[1])
-        zone = StandZone(body, file.within_m, sector)
+        within_m = file.within_m or (WITHIN_SMALL_M if is_small(*body.bounds_m) else WITHIN_M)
+        zone = StandZone(body, within_m, sector)
         found = []
         for name, weight in file.objects.items():
             target = target_of(ObjectFile(name=name), folder)
             found.append(MissedObject(name, weight, target, zone, ground_m))
-        return cls(tuple(found), file.returns, file.within_m, obstacles)
+        return cls(tuple(found), file.returns, within_m, obstacles)
 
     @property
     def weights(self) -> Array:

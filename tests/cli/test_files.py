@@ -557,3 +557,20 @@ def test_a_mesh_that_is_far_away(tmp_path):
     (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "body.stl"))
     assert values(study)["vehicle"]["meshes"][0]["position_m"] == [-1000, 2000, -30]
     assert summary(study).warnings == ()
+
+
+def test_a_study_around_a_robot_is_of_what_is_near_it(tmp_path):
+    """A box of 0.8 × 0.6 × 0.4 m, 0.05 m above the ground: by hand, what its region and its sensors' bounds should be."""
+    trimesh.creation.box((0.8, 0.6, 0.4), trimesh.transformations.translation_matrix((0, 0, 0.25))).export(
+        tmp_path / "robot.stl"
+    )
+    (path,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "robot.stl"))
+    study = load_study(path)
+    assert (study.region.min_m.tolist(), study.region.max_m.tolist()) == ([-8, -8, 0], [8, 8, 2])
+    assert study.region.included.sum() < 41_000  # as cheap as a car's
+    front = next(number for number, slot in enumerate(study.slots) if slot.name == "front")
+    heights = [study.space.poses(np.full((1, study.space.dimensions), end))[0, front, 2] for end in (0.0, 1.0)]
+    np.testing.assert_allclose(heights, [0.05 + 0.16, 0.05 + 0.32])  # in its front, not above it
+    assert study.misses.within_m == (0.1, 5.0)
+    assert values(path)["requirements"][0]["within_m"] == [0.5, 3]
+    assert list(study_warnings(path, study)) == []

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,6 +52,15 @@ def test_cells_are_means_by_hand():
     assert (cells.low_m.tolist(), cells.high_m.tolist()) == ([-1.0, 0.0], [2.0, 2.0])
     expected = [[0.0, math.nan], [(3 * 1 + 3 * 0.5 + 0) / 7, math.nan], [math.nan, (1 + 0.5) / 2]]
     np.testing.assert_allclose(cells.share, expected, atol=1e-15)
+
+
+def test_cells_near_a_robot_are_small():
+    """Two places 0.5 m apart: within 20 m they share a square metre, within 10 m they do not; by hand."""
+    far = found(("a", 1.0, [(0.1, 0.1, 1.0), (0.6, 0.1, 0.0)]))
+    assert missed_map(far).share.tolist() == [[0.5]]
+    near = missed_map(replace(far, within_m=(0.1, 10.0)))
+    assert (near.side_m, near.low_m.tolist()) == (0.25, [0.0, 0.0])
+    np.testing.assert_array_equal(near.share, [[1.0], [math.nan], [0.0]])
 
 
 def test_cells_sum_up_to_the_mean(tmp_path):

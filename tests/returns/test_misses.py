@@ -163,6 +163,19 @@ def test_places_are_within_distances_of_the_body_s_outline(tmp_path, within_m):
             assert not within_m[0] or min(np.bincount((places[:, 3] // (math.pi / 2)).astype(int), minlength=4)) > 50
 
 
+@pytest.mark.parametrize(("length_m", "most_m"), [(0.8, 5.0), (2.0, 5.0), (2.1, 20.0)])
+def test_around_a_robot_objects_are_nearer_than_around_a_car(tmp_path, length_m, most_m):
+    """By shapely's distance of the outlines: places lie up to the limit, and none beyond."""
+    text = STUDY.replace("size_m: [3, 1.6, 1]", f"size_m: [{length_m}, 0.6, 0.4]")
+    loaded = study(tmp_path, "{objects: {post: 1}}", text)
+    half = length_m / 2
+    body = shapely.box(-half, -0.3, half, 0.3)
+    thing = outline(ROOT / "data/objects/post.ply")
+    away = [affinity.translate(thing, x, y).distance(body) for x, y, *_ in loaded.misses.objects[0].places(400, FRESH)]
+    assert loaded.misses.within_m == (0.1, most_m)
+    assert 0.95 * most_m < max(away) < most_m + 0.1  # the post is turned, too
+
+
 @pytest.mark.slow
 def test_places_of_a_sector_are_in_it(tmp_path):
     """By the angle from the middle of the outline's bounds: a sector that has the rear in it."""
