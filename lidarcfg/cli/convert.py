@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     epilog="""
     \b
     Examples:
-      lidarcfg convert out/two/rig.yaml -o out/two.urdf
-      lidarcfg convert out/two.urdf -o out/again.yaml
-      lidarcfg convert out/two.ply -o out/two.laz
-      lidarcfg convert out/two.pcap --rig out/two/rig.yaml -o out/two.mcap
+      lidarcfg convert out/sedan/rig.yaml -o out/sedan.urdf
+      lidarcfg convert out/sedan.urdf -o out/again.yaml
+      lidarcfg convert out/sedan.ply -o out/sedan.laz
+      lidarcfg convert out/sedan.pcap --rig out/sedan/rig.yaml -o out/sedan.mcap
     """
 )
 @cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a kit, a bag, a cloud or a capture.")
