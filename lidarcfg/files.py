@@ -13,7 +13,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
-from lidarcfg.errors import ConversionError
+from lidarcfg.errors import ConversionError, LidarcfgError
 
 T = TypeVar("T")
 
@@ -35,6 +35,22 @@ def example(path: str | Path) -> Path:
         if found.is_file():
             return found
     return path
+
+
+def checked_path(given: Any, what: str) -> Path:
+    """A path that a user gives. Raises LidarcfgError for anything else, such as an array."""
+    if isinstance(given, str | os.PathLike):
+        return Path(os.fspath(given))
+    raise LidarcfgError(f"{what} is a {type(given).__name__}; allowed: a path")
+
+
+@contextmanager
+def system_errors(path: str | Path) -> Iterator[None]:
+    """Raise what the system refuses as LidarcfgError, which names the file that it refused, or else `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise LidarcfgError.from_os(error.filename or path, error) from None
 
 
 def loaded(given: Any, load: Callable[[Any], T], kind: type[T]) -> T:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarcfg import maths
+from lidarcfg.errors import ConfigError
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]  # nanoseconds, and other whole numbers
@@ -17,6 +18,9 @@ Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
 CHUNK = 4096  # vectors, which stay in the processor's cache
 UPRIGHT = 1e-9  # horizontal part of the x axis, below which a frame has no yaw of its own
+RIGID = 1e-5  # by which R Rᵀ may differ from 1: what float32 leaves of a rotation
+EXACT = 1e-12  # by which it may differ and be taken as it is
+SHIFT_MAX_M = 1e8
 
 
 def rotation(rpy_rad: Sequence[float] | Array) -> Array:
@@ -133,11 +137,40 @@ def rotation_vectors(R: Array) -> Array:
 
 
 def pose(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array) -> Array:
-    """T_parent_child (4, 4): child → parent, from the child's position and angles in the parent."""
+    """T_parent_child (4, 4): child → parent, from the child's position in metres and roll, pitch, yaw in radians."""
     T = np.eye(4)
     T[:3, :3] = rotation(rpy_rad)
     T[:3, 3] = position_m
     return T
+
+
+def checked_pose(what: str, T: ArrayLike) -> Array:
+    """A pose (4, 4) that a user gives, in float64; of float32's precision it is made orthonormal.
+
+    Raises ConfigError for another shape, what is not finite, a mirror, a scale, and a last row that is not 0 0 0 1.
+    """
+    allowed = "allowed: a pose (4, 4), a rotation and a shift in metres"
+    try:
+        out = np.array(T, np.float64)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{what} is a {type(T).__name__}; {allowed}") from None
+    if out.shape != (4, 4):
+        raise ConfigError(f"{what} has the shape {out.shape}; {allowed}")
+    if not np.isfinite(out).all():
+        raise ConfigError(f"{what} has values that are not finite; {allowed}")
+    if (out[3] != (0, 0, 0, 1)).any():
+        raise ConfigError(f"{what} has the last row {' '.join(f'{one:g}' for one in out[3])}; allowed: 0 0 0 1")
+    R = out[:3, :3]
+    off = float(abs(product(R, R.T) - np.eye(3)).max())
+    if off > RIGID:
+        raise ConfigError(f"{what} is no rotation: R Rᵀ differs from 1 by {off:.2g}; {allowed}")
+    if np.linalg.det(R) < 0:
+        raise ConfigError(f"{what} is a mirror: the determinant of R is -1; {allowed}")
+    if (abs(out[:3, 3]) > SHIFT_MAX_M).any():
+        raise ConfigError(f"{what} is more than {SHIFT_MAX_M:g} m away")
+    if off > EXACT:
+        out[:3, :3] = rotation(angles(R))
+    return out
 
 
 def inverse(T: Array) -> Array:

@@ -37,7 +37,7 @@ def mount(model, position_m, rpy_deg, rpm=600.0, fov_deg=None, settings=None):
 
 def lidars(mounts):
     """The mounts as VSR knows them."""
-    return rig_lidars(Rig("cases", tuple(mounts)))
+    return rig_lidars(Rig("cases", tuple(replace(one, name=f"m{i}") for i, one in enumerate(mounts))))
 
 
 def revolution(one, phase, phases):

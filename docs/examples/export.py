@@ -11,7 +11,6 @@ import lidarcfg
 from lidarcfg.capture.export import in_time_order, simulated_packets
 from lidarcfg.capture.ground_truth import TruthFile
 from lidarcfg.capture.pcap import read_datagrams, write_pcap
-from lidarcfg.geometry import pose
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)
@@ -19,7 +18,7 @@ out.mkdir(parents=True, exist_ok=True)
 # %% A rig, a scene, and where the vehicle stands in it
 rig = lidarcfg.load_rig("data/rigs/roof.yaml")
 scene = lidarcfg.load_scene("data/scenes/street.yaml")
-T_world_vehicle = pose((2.0, 0.0, 0.0), (0.0, 0.0, np.radians(10)))
+T_world_vehicle = lidarcfg.pose((2.0, 0.0, 0.0), (0.0, 0.0, np.radians(10)))
 print(f"{len(rig.mounts)} sensors among {len(scene.names)} objects of {len(scene.triangles):,} triangles")
 
 # %% A tenth of a second: one turn of the heads

@@ -7,7 +7,6 @@ Run it from the project's folder, cell by cell in an editor that knows `# %%`, o
 from pathlib import Path
 
 import lidarcfg
-from lidarcfg.study.study import with_solver
 
 # %% A study says which sensors may sit where
 # Four VLP-16 on a saloon car: two on the roof, one in each bumper, each free within bounds. What is not free to move
@@ -18,8 +17,7 @@ print(f"{len(study.slots)} sensors, {study.space.free.sum()} free coordinates, {
 # %% A short search
 # The study asks for 20,000 evaluations; 400 will do to see how it goes. A seed makes it repeat, on any number of
 # threads.
-study = with_solver(study, evaluations=400, seed=1)
-found = lidarcfg.optimize(study)
+found = lidarcfg.optimize(study, evaluations=400, seed=1)
 print(f"max VSR {found.evaluation.max_vsr_m:.3f} m, at the midpoint of the bounds {found.midpoint_max_vsr_m:.3f} m")
 assert found.evaluation.max_vsr_m < found.midpoint_max_vsr_m
 

@@ -8,16 +8,14 @@ from pathlib import Path
 import numpy as np
 
 import lidarcfg
-from lidarcfg.geometry import pose
-from lidarcfg.study.study import with_solver
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)
 
 # %% Where should the sensors sit?
 # A study has the region, the sensors with their bounds, and the objects to detect. A real search takes 30 s or more.
-study = with_solver(lidarcfg.load_study("data/studies/sedan.yaml"), evaluations=200)
-found = lidarcfg.optimize(study)
+study = lidarcfg.load_study("data/studies/sedan.yaml")
+found = lidarcfg.optimize(study, evaluations=200)
 for mount in found.rig.mounts:
     print(f"{mount.name:12} at {np.round(mount.position_m, 2)} m, tilted by {np.degrees(mount.rpy_rad[:2]).round(1)}°")
 print(f"max VSR {found.objective:.3f} m; at the midpoint of the bounds it was {found.midpoint_max_vsr_m:.3f} m")
@@ -32,7 +30,7 @@ for one in lidarcfg.verify("data/studies/sedan-requirements.yaml", found.rig).re
 
 # %% What will it see?
 # A capture has the packets that the sensors would send; a .ply, a bag or nuScenes has points with ground truth.
-T_world_vehicle = pose((2.0, 0.0, 0.0), (0.0, 0.0, np.radians(10)))
+T_world_vehicle = lidarcfg.pose((2.0, 0.0, 0.0), (0.0, 0.0, np.radians(10)))
 # Files or what is loaded from them: either will do.
 lidarcfg.export(out / "tour.yaml", "data/scenes/street.yaml", out / "tour.pcap", duration_s=0.1, at=T_world_vehicle)
 lidarcfg.export(found.rig, "data/scenes/street.yaml", out / "tour.npz", duration_s=0.1, at=T_world_vehicle)

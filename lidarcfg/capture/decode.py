@@ -5,8 +5,9 @@ sensor, in the order of its clock. `Packets.decode` asks the sensor's codec for 
 frame, and `to_cloud` moves these into the vehicle's: a `PointCloud`. Chunks are decoded on all cores.
 """
 
+import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +19,15 @@ from lidarcfg.capture.reader import CHUNK_PACKETS, CaptureReader
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.capture.stream import Packets, SourceStats
 from lidarcfg.clouds.cloud import PointCloud, concatenate, gather
+from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError, LidarcfgError
+from lidarcfg.files import checked_path
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import transform
 from lidarcfg.packets.codec import DecodedReturns
 from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.units import START_NS
+from lidarcfg.world.motion import Trajectory, load_path
 
 POINT_BYTES = 3  # that a return takes at least in a capture: distance and intensity
 POINTS_AT_FIRST = 1 << 26  # for which a cloud has room, however large its capture
@@ -31,31 +36,72 @@ ROWS = 1 << 14  # points transformed at a time: for more, BLAS starts threads of
 
 def decode(
     path: str | Path,
-    rig: Rig | str | Path | None = None,
+    rig: Rig | Given | None = None,
     on_warning: Callable[[str], None] = print,
     deskew: bool = False,
     driver_view: bool = False,
     sidecars: Sequence[str | Path] = (),
+    *,
+    model: str | Path | None = None,
+    from_s: float = 0.0,
+    to_s: float = math.inf,
+    sensors: Sequence[str] = (),
+    trajectory: str | Path | Trajectory | None = None,
+    truth: str | Path | None = None,
+    on_stats: Callable[[SourceStats], None] | None = None,
 ) -> PointCloud:
-    """All points of a capture as one cloud: in the rig's vehicle frame, or deskewed by its manifest in the world frame.
+    """All points of a capture as one cloud: in the rig's vehicle frame, or deskewed in the world frame.
 
-    Without a rig, that of the capture's manifest is used; without one, or with the rig "none", each point is in its
-    sensor's own frame. With `driver_view`, angles and times are as the makers' own drivers compute them: Hesai's SDK
-    with its firing time file, rs_driver. `sidecars` are files of the sensors, of any name, that are read instead of
-    those beside the capture: an Ouster's metadata, a Hesai's angles. Raises PacketError, also for a capture without
-    points, and ConfigError.
+    rig: a file, a dict with its keys or loaded; by default that of the capture's manifest. Without one, or with "none",
+        each point is in its sensor's own frame.
+    deskew: by the manifest, which names the motion; trajectory: by this one, a `Trajectory` or the file of a motion
+        that starts at the origin when simulated time begins, START_NS.
+    from_s, to_s: a part of the capture, in seconds after its first packet; sensors: those of these names, or host:port.
+    model: of all sensors, whatever the packets say: a name of the catalogue, or a YAML file.
+    sidecars: files of the sensors, of any name, that are read instead of those beside the capture: an Ouster's
+        metadata, a Hesai's angles.
+    driver_view: whether angles and times are as the makers' drivers compute them: Hesai's SDK with its firing time
+        file, rs_driver.
+    truth: the .npz of ground truth that was exported with the capture; the cloud then has `object`.
+    on_stats: is told of each sensor's packets at the end: model, speed, losses.
+
+    Raises LidarcfgError: PacketError, also for a capture without points; ConfigError; CloudError for the truth.
     """
-    path = Path(path)
-    motion = load_manifest(path).motion() if deskew else None
+    path = checked_path(path, "capture")
+    if deskew and trajectory is not None:
+        raise ConfigError("deskew is by the manifest, and a trajectory is given; allowed: one of them")
+    motion = load_manifest(path).motion() if deskew else _motion(trajectory)
     if not isinstance(rig, Rig):
-        file = rig_file(path, rig)
-        rig = load_rig(file) if file else None
+        given = rig if isinstance(rig, Mapping) else rig_file(path, None if rig is None else checked_path(rig, "rig"))
+        rig = load_rig(given) if given else None
     if motion and not rig:
         raise ConfigError(f"{path}: deskewing needs the rig, which says where the sensors are on the vehicle")
+    if truth is not None and not rig:
+        raise ConfigError(f"{path}: truth needs the rig, which says which sensor is which")
     size = path.stat().st_size if path.is_file() else 0
-    clouds = decode_pcap(path, on_warning, rig, driver_view=driver_view, sidecars=sidecars)
+    clouds = decode_pcap(
+        path,
+        on_warning,
+        rig,
+        None if model is None else str(model),
+        on_stats=on_stats,
+        selection=Selection(from_s, to_s, (sensors,) if isinstance(sensors, str) else tuple(sensors)),
+        driver_view=driver_view,
+        sidecars=sidecars,
+    )
     cloud = gather(clouds, min(size // POINT_BYTES, POINTS_AT_FIRST))
+    if truth is not None and rig:
+        from lidarcfg.capture.ground_truth import with_objects  # with all that it needs of scenes
+
+        cloud = with_objects(checked_path(truth, "truth"), cloud, rig)
     return replace(cloud, xyz=motion.world(cloud.xyz, cloud.time_ns)) if motion else cloud
+
+
+def _motion(given: str | Path | Trajectory | None) -> Trajectory | None:
+    """A trajectory, also of a file, from the origin."""
+    if given is None or isinstance(given, Trajectory):
+        return given
+    return Trajectory(np.eye(4), load_path(checked_path(given, "trajectory")), START_NS)
 
 
 def decode_pcap(

@@ -24,7 +24,9 @@ from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.units import SECOND_NS, TIME_END_NS
+from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.vehicle import Vehicle
 
 STEP_S = 0.04
 STEPS_S = 0.005, 1.0  # allowed
@@ -61,8 +63,8 @@ class Live:
         scene: Scene | Given,
         *targets: str,
         at: Array | None = None,
-        trajectory: str | Path | None = None,
-        vehicle: Path | None = None,
+        trajectory: str | Path | Trajectory | None = None,
+        vehicle: Vehicle | Given | None = None,
         start_ns: int | None = None,
         emulate: bool = False,
         drop: bool = False,

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -36,8 +36,12 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, files_of
 from lidarcfg.world.scene_file import SceneFile
+from lidarcfg.world.vehicle import Vehicle
 
-SIDECAR_SUFFIXES = (".rig.yaml", ".scene.yaml", ".trajectory.yaml", ".trajectory.tum")  # of inputs that are in no file
+SIDECAR_SUFFIXES = (  # of inputs that are in no file
+    *(".rig.yaml", ".scene.yaml", ".vehicle.yaml"),
+    *(".trajectory.yaml", ".trajectory.tum"),
+)
 
 
 class SidecarInput(NamedTuple):
@@ -69,16 +73,18 @@ class ManifestInputs:
         return replace(self, values=self.values | {"faults": tuple(faults) or None})
 
     @classmethod
-    def of(cls, drive: SceneDrive, output: Path, given: DriveInputs) -> "ManifestInputs":
-        """The inputs of a drive in a scene, some of which were given so."""
+    def of(
+        cls, drive: SceneDrive, output: Path, given: DriveInputs, vehicle: Vehicle | None = None
+    ) -> "ManifestInputs":
+        """The inputs of a drive in a scene, some of which were given so; the `vehicle` is one that is in no file."""
         made = cls.of_rig(drive, drive.duration_ns, output, given)
         scene = given.scene or _scene(drive.scene)
         made.files["scene"] = scene
         if isinstance(scene, Path):
             made.named["scene"] = files_of(drive.scene.file, example(scene).parent)
         if drive.vehicle:
-            made.files["vehicle"] = given.vehicle
-            owner = "vehicle" if given.vehicle else "rig"
+            made.files["vehicle"] = _vehicle(vehicle) if vehicle else given.vehicle
+            owner = "vehicle" if made.files["vehicle"] else "rig"
             made.named[owner] = [*made.named.get(owner, []), *files_of(drive.vehicle.file, Path())]
         elif given.vehicle:
             made.values["vehicle"] = NO_VEHICLE
@@ -95,7 +101,7 @@ class ManifestInputs:
             "rig": given.rig or _rig(drive.rig, output.parent),
             "trajectory": given.trajectory or moved,
         }
-        start = datetime.fromtimestamp(drive.start_ns // SECOND_NS, UTC).replace(tzinfo=None).isoformat()
+        start = (datetime(1970, 1, 1) + timedelta(microseconds=drive.start_ns // 1000)).isoformat()
         values = {
             "at": given.at or format_pose(at),
             "start": given.start or start,
@@ -164,6 +170,11 @@ def _scene(scene: Scene) -> Path | SidecarInput | None:
         return None
     values = scene.file.model_dump(mode="json", exclude_none=True)
     return SidecarInput(".scene.yaml", yaml_text(values, blocks=True))
+
+
+def _vehicle(vehicle: Vehicle) -> SidecarInput:
+    """A vehicle as a new file."""
+    return SidecarInput(".vehicle.yaml", yaml_text(vehicle.file.model_dump(mode="json", exclude_defaults=True)))
 
 
 def _motion(moved: Trajectory, start_ns: int) -> tuple[Array, SidecarInput | None]:

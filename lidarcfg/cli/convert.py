@@ -1,5 +1,6 @@
 """lidarcfg convert: rigs, clouds and captures to the formats of other tools, and other tools' rigs to ours."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,10 @@ from lidarcfg.cli.completion import complete_model
 from lidarcfg.cli.options import FILE, quiet_option, warn
 
 if TYPE_CHECKING:
+    from lidarcfg.config.models import Vec3
     from lidarcfg.simulate.scene_drive import SceneDrive
+
+ORIGIN_MAX_M = 1.0  # of a sensor's beams, from the base of its housing
 
 
 @cloup.command(
@@ -45,6 +49,14 @@ if TYPE_CHECKING:
     "or none. For a capture, the model, whatever the packets say. May be repeated.",
 )
 @cloup.option(
+    "--origin",
+    "origins",
+    multiple=True,
+    metavar="[NAME=]X,Y,Z",
+    help="For a kit, where the beams start in the frame NAME, or in all frames of the base of a housing, in metres. "
+    "May be repeated.",
+)
+@cloup.option(
     "--vehicle",
     type=FILE,
     help="The body that crop-box and azimuth-windows cut away: YAML, or a mesh.  [default: the rig's]",
@@ -58,6 +70,7 @@ def convert(
     rig: Path | None,
     truth: Path | None,
     models: tuple[str, ...],
+    origins: tuple[str, ...],
     vehicle: Path | None,
     scene: str | None,
     quiet: bool,
@@ -105,11 +118,13 @@ def convert(
     if form.name == formats.RIG:
         if rig or truth:
             raise click.UsageError("--rig and --truth are for captures")
-        found = formats.import_rig(source, output, _by_name(models), scene, warnings.append)
+        found = formats.import_rig(source, output, _by_name(models), _origins_m(origins), scene, warnings.append)
         _say(output, found, warnings, quiet)
         return
     if scene:
         raise click.UsageError("--scene is for nuScenes' tables, which become a rig")
+    if origins:
+        raise click.UsageError("--origin is for kits, which become a rig")
     model = _single(models)
     if form.name in formats.SELF_FILTERS and not (rig or truth or model):
         found = formats.save_self_filter(source, output, form.name, vehicle, warnings.append)
@@ -146,6 +161,22 @@ def _by_name(models: tuple[str, ...]) -> dict[str, str]:
         if name in found or not model or (equals and not name):
             raise click.BadParameter(f"{text!r} is not NAME=MODEL, once for each NAME", param_hint="--model")
         found[name] = model
+    return found
+
+
+def _origins_m(origins: tuple[str, ...]) -> "dict[str, Vec3]":
+    """Where beams start, by the name of the frame; that without a name, under the empty one, is for all others."""
+    found: dict[str, Vec3] = {}
+    for text in origins:
+        name, equals, values = text.rpartition("=")
+        try:
+            x, y, z = (float(value) for value in values.split(","))
+        except ValueError:
+            x = y = z = math.nan
+        if name in found or (equals and not name) or not all(abs(value) <= ORIGIN_MAX_M for value in (x, y, z)):
+            what = f"{text!r} is not NAME=X,Y,Z in metres, up to {ORIGIN_MAX_M:g}, once for each NAME"
+            raise click.BadParameter(what, param_hint="--origin")
+        found[name] = x, y, z
     return found
 
 

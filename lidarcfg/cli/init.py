@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 import cloup
 
-from lidarcfg.cli.options import FILE, quiet_option
+from lidarcfg.cli.options import FILE, quiet_option, warn
 from lidarcfg.cli.progress import progress
 from lidarcfg.errors import one_line
 
@@ -25,7 +25,8 @@ KINDS = ("study", "rig", "scene", "sensor")
 @cloup.option(
     "--vehicle",
     metavar="NAME",
-    help="For a study: a body from the package (bus, sedan, shuttle, truck), or a mesh file of your own.",
+    help="For a study: a body from the package (bus, delivery-robot, sedan, shuttle, truck), a mesh file of your own, "
+    "or a URDF, whose sensors become a rig.",
 )
 @cloup.option(
     "--triangles",
@@ -51,6 +52,6 @@ def init(kind: str, output: Path, vehicle: str | None, triangles: int | None, qu
         vehicle = str(body)
         if not quiet:
             click.echo(one_line(f"{body}: {said}"))
-    written = write_template(kind, output, vehicle)
+    written = write_template(kind, output, vehicle, (lambda _: None) if quiet else warn)
     if not quiet:
         click.echo(f"written: {' '.join(map(str, written))}")

@@ -3,14 +3,17 @@
 import math
 import os
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
 from lidarcfg.config.document import inline
-from lidarcfg.config.models import Vec3
-from lidarcfg.errors import ConfigError, SceneError
+from lidarcfg.config.models import Section, Vec3
+from lidarcfg.errors import ConfigError, ConversionError, SceneError
 from lidarcfg.files import example, replacing, shipped
+from lidarcfg.sensors.rig import Rig, save_rig
+from lidarcfg.world.robot import SUFFIXES as ROBOTS
 
 KINDS = ("study", "rig", "scene", "sensor")
 CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
@@ -18,43 +21,66 @@ SUNK_M = 0.05  # how far a body on the ground may be below it, by its mesh
 AS_IS: Vec3 = (0.0, 0.0, 0.0)
 
 
+@dataclass(frozen=True)
+class TemplateBody:
+    """The vehicle that a study is made around."""
+
+    low_m: tuple[float, ...]  # of its bounds in the vehicle frame
+    high_m: tuple[float, ...]
+    closed: bool
+    keys: tuple[str, ...] = ()  # that bring it into the vehicle frame
+    looks: tuple[str, ...] = ()  # what is said of them
+    files: tuple[Path, ...] = ()  # that its file needs
+
+
 def vehicles() -> dict[str, Path]:
     """The bodies that come with the package, by name."""
-    return {path.stem: path for path in sorted(shipped("data").glob("vehicles/*.ply"))}
+    folder = shipped("data") / "vehicles"
+    return {path.stem: path for path in sorted((*folder.glob("*.ply"), *folder.glob("*.urdf")))}
 
 
-def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Path]:
+def write_template(
+    kind: str, path: Path, vehicle: str | None = None, on_warning: Callable[[str], None] = lambda _: None
+) -> list[Path]:
     """Write one of the `KINDS` of files to start from. Returns what was written.
 
-    A study is made around a vehicle: one of `vehicles`, whose mesh is copied beside the study, or a mesh file. Raises
-    ConfigError if a file exists already, or if the vehicle is unknown or cannot be read.
+    A study is made around a vehicle: one of `vehicles`, whose files are copied beside the study, a mesh file, or a
+    robot in a URDF, whose sensors become a rig beside it. `on_warning` gets what was left out. Raises ConfigError if a
+    file exists already, or if the vehicle is unknown or cannot be read.
     """
     known = vehicles()
-    body = None if vehicle is None else known.get(vehicle, Path(vehicle))
-    if body and vehicle not in known and not body.suffix:
-        raise ConfigError(f"no vehicle is called {vehicle!r}; allowed: {', '.join(known)}, or a mesh file")
-    copied = path.parent / f"{vehicle}.ply" if vehicle in known else None
-    low, high, scale, rpy_deg, position_m, closed = _bounds(body) if body else (*CAR, 1.0, AS_IS, AS_IS, True)
+    file = None if vehicle is None else known.get(vehicle, Path(vehicle))
+    if file and vehicle not in known and not file.suffix:
+        raise ConfigError(f"no vehicle is called {vehicle!r}; allowed: {', '.join(known)}, a mesh file or a URDF")
+    body = _body(file) if file else TemplateBody(*CAR, closed=True)
+    copied = {path.parent / one.name: one for one in (file, *body.files)} if file and vehicle in known else {}
+    named = path.parent / file.name if copied and file else file
+    rig = _rig(file, named, on_warning) if file and named and file.suffix.lower() in ROBOTS else None
+    rig_path = path.with_name(f"{path.stem}-rig.yaml")
     template = Environment(undefined=StrictUndefined, keep_trailing_newline=True).from_string(
         (shipped("data") / "templates" / f"{kind}.yaml.j2").read_text("utf-8")
     )
-    name = None if body is None else copied.name if copied else os.path.relpath(body, path.parent)
     text = template.render(
         file=path,
-        body=name and inline(name),
-        closed=closed,
-        **_frame_keys(scale, rpy_deg, position_m),
-        **_study(low, high),
+        body=named and inline(os.path.relpath(named, path.parent)),
+        body_keys="".join(f", {key}" for key in body.keys),
+        closed=body.closed,
+        looks=" and ".join(body.looks),
+        rig=rig and rig_path,
+        **_study(body.low_m, body.high_m),
     )
-    _check_new(path)
-    if copied and copied.exists() and body and copied.read_bytes() != body.read_bytes():
-        _check_new(copied)
-    if copied and body and not copied.exists():
-        with replacing(copied, "wb") as mesh:
-            mesh.write(body.read_bytes())
+    for new in (path, *copied, *((rig_path,) if rig else ())):
+        if not (new in copied and new.exists() and new.read_bytes() == copied[new].read_bytes()):
+            _check_new(new)
+    for new, old in copied.items():
+        if not new.exists():
+            with replacing(new, "wb") as out:
+                out.write(old.read_bytes())
+    if rig:
+        save_rig(rig, rig_path)
     with replacing(path) as out:
         out.write(text)
-    return [path, copied] if copied else [path]
+    return [path, *copied, *((rig_path,) if rig else ())]
 
 
 def write_simplified(
@@ -94,45 +120,74 @@ def _check_new(path: Path) -> None:
         raise ConfigError(f"{path}: exists already; name another file, or remove it")
 
 
-def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...], float, Vec3, Vec3, bool]:
-    """The bounds of a mesh in the vehicle frame; scale, rotation and shift that bring it there; whether it is closed.
-
-    What brings it there is guessed by its looks.
-    """
+def _body(file: Path) -> TemplateBody:
+    """The body in a file, with the scale, rotation and shift that bring a mesh into the vehicle frame, by its looks."""
     import numpy as np
 
     from lidarcfg.geometry import pose, transform
-    from lidarcfg.world.mesh_frame import likely_position_m, likely_rpy_deg, likely_scale
+    from lidarcfg.world.gltf import SUFFIXES as GLTF
+    from lidarcfg.world.mesh_frame import gltf_rpy_deg, likely_position_m, likely_rpy_deg, likely_scale
     from lidarcfg.world.meshes import read_mesh
+    from lidarcfg.world.robot_body import robot_body
     from lidarcfg.world.solids import merge_vertices, open_edges
 
+    keys: tuple[str, ...] = ()
+    looks: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
     try:
-        mesh = read_mesh(body)
+        if file.suffix.lower() in ROBOTS:
+            robot = robot_body(file)
+            vertices_m, triangles = robot.mesh
+            files = robot.files
+            keys = (f"without: [{', '.join(map(inline, robot.without))}]",) if robot.without else ()
+        else:
+            vertices, triangles = read_mesh(file)
+            turn = gltf_rpy_deg if file.suffix.lower() in GLTF else likely_rpy_deg
+            scale, rpy_deg = likely_scale(np.ptp(vertices, axis=0)), turn((vertices, triangles))
+            vertices_m = transform(pose((0, 0, 0), np.radians(rpy_deg)), scale * vertices)
+            position_m = likely_position_m((vertices_m, triangles))
+            vertices_m += position_m
+            keys, looks = _frame_keys(scale, rpy_deg, position_m)
     except SceneError as error:
         raise ConfigError(str(error)) from None
-    scale, rpy_deg = likely_scale(np.ptp(mesh[0], axis=0)), likely_rpy_deg(mesh)
-    vertices_m = transform(pose((0, 0, 0), np.radians(rpy_deg)), scale * mesh[0])
-    position_m = likely_position_m((vertices_m, mesh[1]))
-    vertices_m += position_m
-    low, high = (tuple(corner.tolist()) for corner in (vertices_m.min(axis=0), vertices_m.max(axis=0)))
-    return low, high, scale, rpy_deg, position_m, not len(open_edges(merge_vertices(mesh)))
+    closed = not len(open_edges(merge_vertices((vertices_m, triangles))))
+    low_m, high_m = (tuple(corner.tolist()) for corner in (vertices_m.min(axis=0), vertices_m.max(axis=0)))
+    return TemplateBody(low_m, high_m, closed, keys, looks, files)
 
 
-def _frame_keys(scale: float, rpy_deg: Vec3, position_m: Vec3) -> dict[str, str]:
+def _rig(file: Path, named: Path, on_warning: Callable[[str], None]) -> Rig | None:
+    """The rig of a robot's LiDARs, on the body in the file `named`; None without LiDARs, or if a model is not known."""
+    from lidarcfg.io.rig_importers.sensor_kit import rig_of_kit
+    from lidarcfg.io.urdf import read_urdf
+
+    kit = read_urdf(file, {})
+    if not kit.frames:
+        return None
+    if kit.vehicle:
+        meshes = tuple(mesh | {"file": os.path.realpath(named)} for mesh in kit.vehicle.values["meshes"])
+        kit = replace(kit, vehicle=Section({"meshes": meshes}))
+    try:
+        return rig_of_kit(kit, {}, on_warning)
+    except ConversionError as error:
+        on_warning(f"no rig of its sensors: {error}")
+        return None
+
+
+def _frame_keys(scale: float, rpy_deg: Vec3, position_m: Vec3) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The keys that bring a mesh into the vehicle frame, and what is said of them."""
     from lidarcfg.world.mesh_frame import TURNS, UNITS
 
     keys, looks = [], []
     if scale != 1:
-        keys.append(f"scale: {scale}, ")
+        keys.append(f"scale: {scale}")
         looks.append(f"its file's unit is the {UNITS[scale]}")
     if rpy_deg in TURNS:
-        keys.append(f"rpy_deg: [{', '.join(f'{angle:g}' for angle in rpy_deg)}], ")
+        keys.append(f"rpy_deg: [{', '.join(f'{angle:g}' for angle in rpy_deg)}]")
         looks.append(f"in its file {TURNS[rpy_deg]}")
     if position_m != AS_IS:
-        keys.append(f"position_m: [{', '.join(f'{value:g}' for value in position_m)}], ")
+        keys.append(f"position_m: [{', '.join(f'{value:g}' for value in position_m)}]")
         looks.append(f"in its file {math.hypot(*position_m):.0f} m away")
-    return {"frame_keys": "".join(keys), "looks": " and ".join(looks)}
+    return tuple(keys), tuple(looks)
 
 
 def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[float]]:
@@ -142,8 +197,9 @@ def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[fl
     side = (high[1] - low[1]) / 2
     length = high[0] - low[0]
     middle_m = (low[0] + high[0]) / 2
-    floor_m = min(math.floor(low[2] + SUNK_M), 0)
-    top_m = max(math.ceil(high[2]), 4)
+    ground_m = 0.0 if low[2] > -SUNK_M else low[2]
+    floor_m = round(ground_m, 2)
+    top_m = floor_m + max(math.ceil(high[2] - floor_m), 4)
     boxes = {
         "low": (-x, -y, floor_m),
         "high": (x, y, top_m),

@@ -26,6 +26,7 @@ OTHERS = {  # by suffix, what a file of another program is, and where it belongs
     **dict.fromkeys((".pcd", ".las", ".laz", ".xyz", ".pts", ".e57"), _POINTS),
     **dict.fromkeys((".obj", ".stl", ".off"), _MESH),
     **dict.fromkeys((".glb", ".gltf"), "a glTF file, no YAML; a scene names it under models"),
+    ".urdf": "a robot in URDF, no YAML; convert reads its sensors, and a vehicle names it under meshes",
     ".ply": "points or a mesh, no YAML; a scene names points under surfels, with a radius, and a mesh under meshes",
     **dict.fromkeys((".pcap", ".pcapng"), "a capture, no YAML; decode, convert and view read it"),
 }
@@ -54,7 +55,7 @@ def kind_of(values: object) -> str | None:
     for kind in LISTS:  # a study, and a rig, may have them, too
         if kind in values:
             return kind
-    if OBJECTS & values.keys():  # the objects of a scene must say what they reflect, and a scene its name
+    if OBJECTS & values.keys():  # of a scene without a ground they are told from a vehicle's bodies by its name
         return "scene" if "name" in values else "vehicle"
     return None
 

@@ -302,9 +302,11 @@ def _message(item: Any, model: type[Model]) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value as YAML writes it; of a map or a list only its kind."""
+    """A value as YAML writes it; of a map or a list, and of what YAML does not have, only its kind."""
     if isinstance(value, dict | tuple):
         return "a map" if isinstance(value, dict) else f"a list of {len(value)}"
+    if not isinstance(value, str | int | float | None):
+        return f"a {type(value).__name__}"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, str) and len(value) > SHOWN_MAX:

@@ -15,11 +15,11 @@ import numpy as np
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import read_regular
-from lidarcfg.io.rig_importers.frame_tree import Pose
 from lidarcfg.io.rig_importers.sensor_kit import LidarFrame, SensorKit
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import catalogue
+from lidarcfg.world.frame_tree import Pose
 
 EVEN_DEG = 0.05  # beams further than that from CARLA's even spacing get a warning
 FILE_MAX = 64_000_000  # bytes

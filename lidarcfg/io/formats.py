@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Literal
 
 from lidarcfg.clouds.cloud import PointCloud, load_cloud, save_clouds
 from lidarcfg.config.kinds import YAML_SUFFIXES
-from lidarcfg.errors import ConversionError
+from lidarcfg.config.models import Vec3
+from lidarcfg.errors import ConfigError, ConversionError
 from lidarcfg.files import replacing, replacing_folder
 from lidarcfg.io.bag_reader import SUFFIXES, is_bag
-from lidarcfg.io.urdf import SUFFIXES as URDF_SUFFIXES
 from lidarcfg.sensors.rig import load_rig, save_rig
+from lidarcfg.world.robot import SUFFIXES as URDF_SUFFIXES
 
 if TYPE_CHECKING:
     from lidarcfg.io.drive_dataset import DriveDataset
@@ -195,18 +196,32 @@ def save_self_filter(source: Path, output: Path, name: str, vehicle: Path | None
     return "1 box" if name == "crop-box" else str(Amount(len(rig.mounts), "sensors"))
 
 
-def import_rig(source: Path, output: Path, models: Mapping[str, str], scene: str | None, on_warning: OnWarning) -> str:
+def import_rig(
+    source: Path,
+    output: Path,
+    models: Mapping[str, str],
+    origins_m: Mapping[str, Vec3],
+    scene: str | None,
+    on_warning: OnWarning,
+) -> str:
     """Write the rig of a kit, whole or not at all, and return what it holds.
 
-    `models` says what the kit's frames are, as `rig_of_kit` has it; `scene` which of nuScenes'. `on_warning` gets what
-    was guessed and what was left out. Raises LidarcfgError.
+    `models` and `origins_m` are of the kit's frames, as `rig_of_kit` has them; `scene` is which of nuScenes'.
+    `on_warning` gets what was guessed and what was left out. Raises LidarcfgError.
     """
     from lidarcfg.io.rig_importers.importer import read_kit
     from lidarcfg.io.rig_importers.sensor_kit import rig_of_kit
+    from lidarcfg.world.vehicle import check_outside, rig_vehicle
 
-    rig = rig_of_kit(read_kit(source, models, scene), models, on_warning)
+    rig = rig_of_kit(read_kit(source, models, scene), models, on_warning, origins_m)
+    body = rig_vehicle(rig)
+    if body:
+        try:
+            check_outside(body, rig.mounts)
+        except ConfigError as error:
+            on_warning(f"{source}: {error}")
     save_rig(rig, output)
-    return str(Amount(len(rig.mounts), "sensors"))
+    return f"{Amount(len(rig.mounts), 'sensors')}{' and a body' if body else ''}"
 
 
 def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bool, on_warning: OnWarning) -> Amount:

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.world.frame_tree import BASE_LINK as BASE_LINK
 
-BASE_LINK = "base_link"  # REP-105's name for the vehicle frame
-MAP = "map"  # and for the world frame
+MAP = "map"  # REP-105's name for the world frame
 
 
 def ros_name(name: str) -> str:

@@ -25,7 +25,7 @@ from lidarcfg.report.table import Column, Table, named
 from lidarcfg.report.terminal import print_table
 from lidarcfg.report.text import HEAD, truncate
 from lidarcfg.requirements.verify import OnProgress, silent
-from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.sensors.rig import Rig, rigs_of
 from lidarcfg.study.evaluation import Evaluation, evaluate
 from lidarcfg.study.loading import load_study
 from lidarcfg.study.study import Study
@@ -62,6 +62,9 @@ class Comparison(Shown):
     study: Study
     rigs: tuple[Contender, ...]
 
+    def __repr__(self) -> str:
+        return f"<Comparison: {', '.join(f'{rig.letter} {rig.rig.name}' for rig in self.rigs)} in {self.study.name}>"
+
     @property
     def evaluations(self) -> dict[str, Evaluation]:
         """The evaluation of each rig, by its letter."""
@@ -83,9 +86,9 @@ def compare(
     Study and rigs are files, dicts with their keys, or loaded. With a relative tolerance max VSR is extrapolated to it,
     too. `on_progress` is told the fraction done, and the rig that is evaluated. Raises ConfigError as `evaluate` does.
     """
-    check_count(len(rigs))
+    mounted = rigs_of(rigs)
+    check_count(len(mounted))
     study = loaded(study, load_study, Study)
-    mounted = [loaded(rig, load_rig, Rig) for rig in rigs]
     named = []
     for n, (given, rig) in enumerate(zip(rigs, mounted, strict=True)):
         name = str(given) if isinstance(given, str | Path) else rig.name

@@ -144,6 +144,10 @@ class Verdict(Shown):
 
     requirements: tuple[RequirementVerdict, ...]
 
+    def __repr__(self) -> str:
+        met = sum(one.passed for one in self.requirements)
+        return f"<Verdict {'PASS' if self.passed else 'FAIL'}: {met} of {len(self.requirements)} requirements are met>"
+
     @property
     def passed(self) -> bool:
         """Whether all are met."""

@@ -39,9 +39,9 @@ from lidarcfg.search.screening import LEAST, ScreenedRigs, Screening
 from lidarcfg.search.start_rigs import points_by_combination
 from lidarcfg.search.transfer import Example, transferred
 from lidarcfg.search.workers import Job, Workers
-from lidarcfg.sensors.rig import Rig
+from lidarcfg.sensors.rig import Rig, rigs_of
 from lidarcfg.study.loading import load_study
-from lidarcfg.study.study import Study
+from lidarcfg.study.study import Study, with_solver
 
 CONSTRAINTS = "the constraints"  # which a combination misses as long as no rig of it that was tried keeps them
 TOO_DEAR = "too dear"
@@ -105,19 +105,25 @@ def cheapest(
     on_turn: Callable[["CheapestRun"], None] | None = None,
     workers: Workers | None = None,
     skip: bool = True,
-    rigs: Sequence[Rig] = (),
+    rigs: Sequence[Rig | Given] = (),
     log: SearchLog | None = None,
+    *,
+    seed: int | None = None,
+    evaluations: int | None = None,
+    seconds: float | None = None,
 ) -> Cheapest:
     """Find the cheapest combination of a study with a rig that meets all requirements.
 
-    The study is a file, a dict with its keys, or loaded. `rigs` are tried first, each in the combination whose models
+    Study and rigs are files, dicts with their keys, or loaded. `seed`, and a budget of `evaluations` or `seconds`,
+    replace those of the study. `rigs` are tried first, each in the combination whose models
     it has. `log` resumes an earlier search. With `workers` combinations are searched there, each by one thread; the
     result is the same, unless the budget ends within a round, as the last ones may be others. An interrupt (Ctrl-C)
     ends the search and keeps what is found so far. Raises ConfigError without a choice, without requirements, for rigs
     that the study does not allow, and if no combination has a rig that meets the constraints.
     """
     study = loaded(study, load_study, Study)
-    run = CheapestRun(study, threads, on_turn, log, skip, rigs, workers)
+    study = with_solver(study, seed=seed, evaluations=evaluations, seconds=seconds)
+    run = CheapestRun(study, threads, on_turn, log, skip, rigs_of(rigs), workers)
     return run.result(interrupted=run.run(workers))
 
 

@@ -19,7 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lidarcfg import maths
+from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.search.chooser import Chooser
@@ -31,12 +33,13 @@ from lidarcfg.search.seeded import SeededSearch
 from lidarcfg.search.start_rigs import points_by_combination
 from lidarcfg.search.transfer import Example, transferred
 from lidarcfg.search.workers import Job
-from lidarcfg.sensors.rig import Rig
+from lidarcfg.sensors.rig import Rig, rigs_of
 from lidarcfg.solvers.cma_es import WarmStart
 from lidarcfg.solvers.search import NO_COST, FixedPoint, Search
 from lidarcfg.study.criterion import objective_of
 from lidarcfg.study.evaluator import Evaluator
-from lidarcfg.study.study import Study
+from lidarcfg.study.loading import load_study
+from lidarcfg.study.study import Study, with_solver
 
 PROGRESS = 0.4
 NEGLECT = 4.0
@@ -115,21 +118,27 @@ def on_front(prices: Sequence[float], objectives: Sequence[float]) -> list[bool]
 
 
 def front(
-    study: Study,
+    study: Study | Given,
     threads: int | None = None,
     on_turn: Callable[["FrontRun"], None] | None = None,
     log: SearchLog | None = None,
     skip: bool = True,
-    rigs: Sequence[Rig] = (),
+    rigs: Sequence[Rig | Given] = (),
+    *,
+    seed: int | None = None,
+    evaluations: int | None = None,
+    seconds: float | None = None,
 ) -> Front:
     """Search for the rig with the least objective for each price, over all combinations that a study allows.
 
-    The result depends on the seed, not on the number of threads; budgets count for all combinations together. `log`
-    is that of an earlier search to resume. `rigs` are tried first, each in the combination whose models it has. An
-    interrupt (Ctrl-C) ends the search and keeps the front so far. Raises ConfigError if nothing is to choose, for rigs
-    that the study does not allow, and if no rig was found that meets the constraints.
+    Study and rigs are files, dicts with their keys, or loaded. `seed`, and a budget of `evaluations` or `seconds`,
+    replace those of the study. The result depends on the seed, not on the number of threads; budgets count for all
+    combinations together. `log` is that of an earlier search to resume. `rigs` are tried first, each in the combination
+    whose models it has. An interrupt (Ctrl-C) ends the search and keeps the front so far. Raises ConfigError if nothing
+    is to choose, for rigs that the study does not allow, and if no rig was found that meets the constraints.
     """
-    run = FrontRun(study, threads, on_turn, log, skip, rigs)
+    study = with_solver(loaded(study, load_study, Study), seed=seed, evaluations=evaluations, seconds=seconds)
+    run = FrontRun(study, threads, on_turn, log, skip, rigs_of(rigs))
     return run.result(interrupted=run.run())
 
 

@@ -17,9 +17,9 @@ from lidarcfg.search.run import Budget, Cycle, Placement, SearchRun
 from lidarcfg.search.screening import Screening
 from lidarcfg.search.seeded import SeededSearch
 from lidarcfg.search.start_rigs import points_of
-from lidarcfg.sensors.rig import Rig
+from lidarcfg.sensors.rig import Rig, rigs_of
 from lidarcfg.study.loading import load_study
-from lidarcfg.study.study import Study
+from lidarcfg.study.study import Study, with_solver
 
 
 def optimize(
@@ -30,11 +30,18 @@ def optimize(
     skip: bool = True,
     on_evaluations: Callable[[int], None] | None = None,
     plain: bool | None = None,
-    starts: Sequence[Rig] = (),
+    starts: Sequence[Rig | Given] = (),
+    *,
+    solver: str | None = None,
+    seed: int | None = None,
+    cycles: int | None = None,
+    evaluations: int | None = None,
+    seconds: float | None = None,
 ) -> Placement:
     """Search for the rig with the least objective. The result depends on the seed, not on the number of threads.
 
-    The study is a file, a dict with its keys, or loaded. `on_cycle` gets the state of the search, the best rig and the
+    Study and `starts` are files, dicts with their keys, or loaded. `solver`, `seed`, and a budget of `cycles`,
+    `evaluations` or `seconds` replace those of the study. `on_cycle` gets the state of the search, the best rig and the
     log at the end of each cycle. `on_evaluations` is called from time to time, also within a cycle, with the number
     of evaluations so far. `log` resumes an earlier search, which ends where an uninterrupted one would (unless its
     budget is in seconds). Without `skip` every trial is evaluated in full, which changes only the time. An
@@ -45,6 +52,7 @@ def optimize(
     constraints.
     """
     study = loaded(study, load_study, Study)
+    study = with_solver(study, method=solver, seed=seed, cycles=cycles, evaluations=evaluations, seconds=seconds)
     if study.to_choose:
         instead = "`front` searches for the best rig of each price"
         if study.requirements:
@@ -54,7 +62,7 @@ def optimize(
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
     budget = Budget.of(study.solver)
-    run = search_run(study, log, plain, starts)
+    run = search_run(study, log, plain, rigs_of(starts))
     interrupted = False
     with run.evaluator(threads, skip, on_evaluations) as evaluator:
         try:

@@ -91,6 +91,9 @@ class Placement(Shown):
     at_bounds: tuple[str, ...] = ()  # coordinates that ended at a bound, with it
     believed: Believed | None = None  # where misses were minimised
 
+    def __repr__(self) -> str:
+        return f"<Placement after {self.evaluations:,} evaluations: {self.rig!r}, {self.evaluation!r}>"
+
     @property
     def verdict(self) -> Verdict | None:
         """Whether the rig meets the study's requirements; None: it has none."""

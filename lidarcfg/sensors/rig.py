@@ -3,13 +3,15 @@
 import ipaddress
 import math
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import AfterValidator, ConfigDict, Field, ModelWrapValidatorHandler, model_validator
+from numpy.typing import ArrayLike
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ModelWrapValidatorHandler, model_validator
 
 from lidarcfg.config.document import yaml_text
 from lidarcfg.config.models import (
@@ -33,8 +35,8 @@ from lidarcfg.config.models import (
     with_faults,
 )
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import replacing
-from lidarcfg.geometry import Array, pose
+from lidarcfg.files import checked_path, loaded, replacing, system_errors
+from lidarcfg.geometry import Array, angles, checked_pose, pose
 from lidarcfg.notebook import Shown
 from lidarcfg.sensors.faults import Fault, Faults, SlowHead, fault_errors
 from lidarcfg.sensors.realism import Realism, RealismOrName, resolved
@@ -119,13 +121,21 @@ class MountFile(Model):
         return self
 
 
+def _vehicle_keys(given: Any) -> Any:
+    """A validator: in a dict, a `Vehicle` may stand where its keys would."""
+    section = getattr(given, "section", None)
+    return dict(section.values) if isinstance(section, Section) else given
+
+
 class RigFile(Model):
     """A rig, as its file says it."""
 
     kind: ClassVar[str] = "rig"
-    name: Name
+    name: Name = "rig"  # of a file, by default the file's
     sensors: Annotated[tuple[MountFile, ...], Field(min_length=1, max_length=SENSORS_MAX)]
-    vehicle: dict[str, Any] | None = None  # the keys of world/vehicle.py's VehicleFile
+    vehicle: Annotated[dict[str, Any] | None, BeforeValidator(_vehicle_keys)] = (
+        None  # of world/vehicle.py's VehicleFile
+    )
     faults: Faults = ()
 
     @model_validator(mode="after")
@@ -153,18 +163,22 @@ def angles_rad(rpy_rad: Vec3 | None, rpy_deg: Vec3 | None) -> Vec3:
 
 @dataclass(frozen=True)
 class Mount:
-    """A sensor on the vehicle."""
+    """A sensor on the vehicle: `Mount("roof", load_sensor("vlp-16"), (1.2, 0, 1.9))`.
+
+    The sensor may also be its name in the catalogue, or its file; sequences and arrays become tuples.
+    Raises ConfigError for a value that a rig's file may not have either.
+    """
 
     name: str
     sensor: Sensor
     position_m: Vec3  # of the sensor's origin in the vehicle frame
-    rpy_rad: Vec3  # roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll)
-    model: str | None  # the sensor's name in files; None: its beams are given inline
-    host: str  # the address it sends from
-    data_port: int
-    telemetry_port: int
-    rpm: float
-    return_mode: ReturnMode
+    rpy_rad: Vec3 = (0.0, 0.0, 0.0)  # roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll)
+    model: str | None = None  # the sensor's name in files, by default its own; None: its beams are given inline
+    host: str = ""  # the address it sends from; empty: the rig gives it one
+    data_port: int = 0  # 0: the sensor's
+    telemetry_port: int = 0  # 0: the sensor's
+    rpm: float = 0.0  # 0: 600, or what of the sensor's is nearest
+    return_mode: ReturnMode = RETURN_MODE
     destination: str | None = None  # the address it sends to, or a multicast group; None: as the sensor's file says
     vlan_id: int | None = None  # of its packets' tag; None: they have none
     clock: Clock | None = None  # what its packets say of it; None: as they usually do
@@ -173,6 +187,34 @@ class Mount:
     phase_deg: float | None = None  # where the head points at each whole second; None: at 0 when it starts
     settings: Section = field(default_factory=lambda: Section({}))  # what the sensor's codec reads
     realism: Realism | None = None  # None: exact
+
+    def __post_init__(self) -> None:
+        sensor, model = _sensor_of(self.name, self.sensor, self.model)
+        made: dict[str, Any] = {"sensor": sensor, "model": model}
+        for key in ("position_m", "rpy_rad"):
+            made[key] = _three(f"{self.name}: {key}", getattr(self, key))
+        data_port, telemetry_port = ports(sensor)
+        made["data_port"] = self.data_port or data_port
+        made["telemetry_port"] = self.telemetry_port or telemetry_port
+        made["rpm"] = self.rpm or default_rpm(sensor)
+        for key, value in made.items():
+            object.__setattr__(self, key, value)
+        if self.return_mode not in get_args(ReturnMode):
+            allowed = ", ".join(get_args(ReturnMode))
+            raise ConfigError(f"{self.name}: return_mode is {self.return_mode!r}; allowed: {allowed}")
+
+    @classmethod
+    def from_pose(cls, name: str, sensor: Sensor | str | Path, T_vehicle_sensor: ArrayLike, **others: Any) -> "Mount":
+        """The mount of a sensor at a pose (4, 4), sensor → vehicle, in metres, x forward, y left, z up.
+
+        `others` are the other fields by their names. `T_vehicle_sensor` of what is made is that pose again, exact to
+        rounding. Raises ConfigError for what is no rotation and shift, and as `Mount`.
+        """
+        T = checked_pose(f"{name}: T_vehicle_sensor", T_vehicle_sensor)
+        x, y, z = T[:3, 3].tolist()
+        roll, pitch, yaw = angles(T[:3, :3]).tolist()
+        own, model = _sensor_of(name, sensor, others.pop("model", None))
+        return cls(name, own, (x, y, z), (roll, pitch, yaw), model, **others)
 
     def __repr__(self) -> str:
         at = ", ".join(f"{value:g}" for value in self.position_m)
@@ -191,26 +233,51 @@ class Mount:
 
     @property
     def T_vehicle_sensor(self) -> Array:
-        """(4, 4), sensor → vehicle."""
+        """(4, 4) its pose, sensor → vehicle."""
         return pose(self.position_m, self.rpy_rad)
 
 
 @dataclass(frozen=True)
 class Rig(Shown):
-    """Sensors mounted on a vehicle."""
+    """Sensors mounted on a vehicle: `Rig("two", [left, right])`.
+
+    Mounts without an address get one each. The vehicle may also be a `Vehicle`, or a dict with the keys of its file.
+    Raises ConfigError for two mounts of the same name, and for what is no mount.
+    """
 
     name: str
     mounts: tuple[Mount, ...]
     vehicle: Section | None = None  # what they are mounted on, as world/vehicle.py reads it; None: not known
     faults: tuple[Fault, ...] = ()  # in captures
 
+    def __post_init__(self) -> None:
+        what = f"rig {self.name!r}"
+        mounts = [self.mounts] if isinstance(self.mounts, Mount) else list(self.mounts)
+        for mount in mounts:
+            if not isinstance(mount, Mount):
+                raise ConfigError(f"{what}: a {type(mount).__name__} is no mount; allowed: a Mount")
+        names = [mount.name for mount in mounts]
+        if twice := [name for i, name in enumerate(names) if name in names[:i]]:
+            raise ConfigError(f"{what}: two sensors are called {twice[0]!r}; each name may be given once")
+        object.__setattr__(self, "mounts", _with_hosts(what, mounts))
+        object.__setattr__(self, "vehicle", _section(what, self.vehicle))
+        object.__setattr__(self, "faults", tuple(self.faults))
+
     def __repr__(self) -> str:
         return f"<Rig {self.name}: {', '.join(f'{mount.name} ({mount.sensor.name})' for mount in self.mounts)}>"
+
+    def mount(self, name: str) -> Mount:
+        """The mount of this name. Raises ConfigError if there is none."""
+        for mount in self.mounts:
+            if mount.name == name:
+                return mount
+        known = ", ".join(mount.name for mount in self.mounts)
+        raise ConfigError(f"rig {self.name!r}: no sensor is called {name!r}; allowed: {known}")
 
     def without(self, *names: str) -> "Rig":
         """The rig without some sensors. Raises ConfigError for names that it does not have, and if none is left."""
         for name in names:
-            self._mount(name)
+            self.mount(name)
         kept = tuple(mount for mount in self.mounts if mount.name not in names)
         if not kept:
             raise ConfigError(f"rig {self.name!r}: without {', '.join(names)} no sensor is left")
@@ -227,19 +294,66 @@ class Rig(Shown):
                 changes["rpy_rad" if key == "rpy_deg" else key] = _three(f"rig {self.name!r}: {name}: {key}", value)
         if "rpy_rad" in changes:
             changes["rpy_rad"] = angles_rad(None, changes["rpy_rad"])
-        mount = replace(self._mount(name), **changes)
+        mount = replace(self.mount(name), **changes)
         return replace(self, mounts=tuple(mount if one.name == name else one for one in self.mounts))
 
     def faults_of(self, name: str) -> dict[int, Fault]:
         """The faults of a sensor, by their numbers."""
         return {number: fault for number, fault in enumerate(self.faults) if fault.sensor == name}
 
-    def _mount(self, name: str) -> Mount:
-        for mount in self.mounts:
-            if mount.name == name:
-                return mount
-        known = ", ".join(mount.name for mount in self.mounts)
-        raise ConfigError(f"rig {self.name!r}: no sensor is called {name!r}; allowed: {known}")
+
+def _sensor_of(name: str, given: Sensor | str | Path, model: str | None) -> tuple[Sensor, str | None]:
+    """A mount's sensor, also by its name or file, and its model as a catalogue name or an absolute path."""
+    if isinstance(given, str | Path):
+        given = load_sensor(given)
+    if not isinstance(given, Sensor):
+        what = f"{name}: a {type(given).__name__} is no sensor"
+        raise ConfigError(f"{what}; allowed: a Sensor, its name in the catalogue, the path of its file")
+    if model is None and given.path:
+        known = catalogue().get(given.name)
+        model = given.name if known == given.path else os.path.realpath(given.path)
+    return given, model
+
+
+def _with_hosts(what: str, mounts: Sequence[Mount]) -> tuple[Mount, ...]:
+    """The mounts, each with an address. Raises ConfigError if there are not enough."""
+    taken = {mount.host for mount in mounts}
+    free = (host for i in range(HOSTS) if (host := default_host(i)) not in taken)
+    out: list[Mount] = []
+    for mount in mounts:
+        if not mount.host:
+            host = next(free, None)
+            if host is None:
+                raise ConfigError(f"{what}: no default address is left for {mount.name!r}; give it a host")
+            mount = replace(mount, host=host)
+        out.append(mount)
+    return tuple(out)
+
+
+def check_writable(rig: Rig) -> None:
+    """Raises ConfigError for a sensor's name that no file may have, and for two that share an address and port."""
+    owners: dict[str, Mount] = {}
+    for mount in rig.mounts:
+        if not re.fullmatch(MOUNT_NAME, mount.name):
+            allowed = f"allowed: a text that matches {MOUNT_NAME}"
+            raise ConfigError(f"rig {rig.name!r}: {mount.name!r} is no sensor's name; {allowed}")
+        where = f"{mount.host}:{mount.data_port}"
+        other = owners.setdefault(where, mount)
+        if other is not mount:
+            both = f"{other.name!r} and {mount.name!r}"
+            raise ConfigError(f"rig {rig.name!r}: {where} is that of {both}; give each its own")
+
+
+def _section(what: str, given: Any) -> Section | None:
+    """A vehicle as the section of a rig's file: that of a `Vehicle`, or of a dict."""
+    if isinstance(given, Mapping):
+        return Section(given)
+    found = getattr(given, "section", given)
+    if found is None or isinstance(found, Section):
+        return found
+    raise ConfigError(
+        f"{what}: a {type(given).__name__} is no vehicle; allowed: a Vehicle, a dict with its file's keys"
+    )
 
 
 def _three(what: str, values: Sequence[float]) -> Vec3:
@@ -287,6 +401,12 @@ def ports(sensor: Sensor) -> tuple[int, int]:
     return (sensor.ports.data, sensor.ports.telemetry) if sensor.ports else (DATA_PORT, TELEMETRY_PORT)
 
 
+def default_rpm(sensor: Sensor) -> float:
+    """600, or the sensor's nearest speed."""
+    rotation = sensor.rotation
+    return min(max(RPM, rotation.rpm_min), rotation.rpm_max) if rotation else RPM
+
+
 def default_host(index: int) -> str | None:
     """The default address of sensor number `index`: 192.168.1.201 and following; None after the last one."""
     host = FIRST_HOST + index
@@ -319,7 +439,15 @@ def load_rig(given: Given) -> Rig:
     if errors:
         raise ConfigError.all_of(errors)
     vehicle = None if file.vehicle is None else Section(_whole(file.vehicle, path.parent), str(path), ("vehicle",))
-    return Rig(file.name, tuple(mounts), vehicle, file.faults)
+    name = file.name if "name" in file.model_fields_set else path.stem[:NAME_MAX] or file.name
+    return Rig(name, tuple(mounts), vehicle, file.faults)
+
+
+def rigs_of(given: "Sequence[Rig | Given]") -> list[Rig]:
+    """Rigs, their files, or dicts with their keys. Raises ConfigError, also for one rig that is in no list."""
+    if isinstance(given, Rig | str | Path | Mapping):
+        raise ConfigError("rigs are a list of rigs; allowed: [rig, …]")
+    return [loaded(rig, load_rig, Rig) for rig in given]
 
 
 def _mount(path: Path, index: int, given: MountFile, sensor: Sensor, model: str | None) -> Mount:
@@ -455,9 +583,19 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
 
 
 def save_rig(rig: Rig, path: str | Path) -> None:
-    """Write the rig as YAML; floats read back bit for bit."""
-    path = Path(path)
-    with replacing(path) as file:
+    """Write the rig as YAML; floats read back bit for bit.
+
+    Raises LidarcfgError, also for a sensor that is in no file.
+    """
+    if not isinstance(rig, Rig):
+        raise ConfigError(f"a {type(rig).__name__} is no rig; allowed: a Rig, as load_rig makes of a file or a dict")
+    path = checked_path(path, "path")
+    check_writable(rig)
+    for mount in rig.mounts:
+        if mount.model is None and mount.sensor != custom_sensor(mount.sensor.beams.elevation_deg):
+            what = f"{path}: {mount.name}: sensor {mount.sensor.name!r} has more than elevations and is in no file"
+            raise ConfigError(f"{what}; save it as YAML, and load it from there")
+    with system_errors(path), replacing(path) as file:
         file.write(rig_text(rig, Path(os.path.realpath(path.parent))))
 
 

@@ -261,6 +261,11 @@ class Sensor(Model):
             raise ValueError(f"is not within {self.name}'s own, {whole[0]:g} to {whole[1]:g}")
         return given
 
+    @property
+    def path(self) -> Path | None:
+        """The file that it was read from; None: it is in none."""
+        return Path(self._file.path) if self._file.path else None
+
     def __repr__(self) -> str:
         return f"<Sensor {self.name}: {self.count} lasers>"
 
@@ -351,6 +356,9 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
 
     Raises ConfigError: unknown name, unreadable file, or anything in it that is not allowed.
     """
+    if not isinstance(name, str | Path):
+        allowed = "allowed: its name in the catalogue, the path of its file"
+        raise ConfigError(f"a {type(name).__name__} is no sensor; {allowed}")
     known = catalogue()
     if name in known:
         path = known[str(name)]

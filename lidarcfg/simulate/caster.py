@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from lidarcfg.simulate.simulator import CLEAR, Simulator
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.tracer import Tracer
-from lidarcfg.world.vehicle import check_outside, resolve_vehicle
+from lidarcfg.world.vehicle import Vehicle, check_outside, resolve_vehicle
 
 AHEAD = 1  # batches that are cast while the caller has one
 PIECE_RAYS = 8192  # cast at a time, at least
@@ -50,13 +49,13 @@ class Caster:
     """
 
     def __init__(
-        self, drive: Drive, scene: Scene | Given, vehicle: str | Path | None = None, threads: int | None = None
+        self, drive: Drive, scene: Scene | Given, vehicle: Vehicle | Given | None = None, threads: int | None = None
     ) -> None:
         self._drive = drive
         scene = loaded(scene, load_scene, Scene)
         begin_ns = drive.start_ns + round(max(drive.span_s[0], 0) * SECOND_NS)
         tracer = Tracer(scene, drive.trajectory.pose(begin_ns)[:3, 3], drive.start_ns)
-        carrier = resolve_vehicle(drive.rig, None if vehicle is None else Path(vehicle))
+        carrier = resolve_vehicle(drive.rig, vehicle)
         if carrier:
             check_outside(carrier, drive.rig.mounts)
         bodies = Tracer(carrier.scene, np.zeros(3)) if carrier else None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.files import loaded
-from lidarcfg.geometry import Array, Bytes, Times
+from lidarcfg.geometry import Array, Bytes, Times, checked_pose
 from lidarcfg.packets.families import timing
 from lidarcfg.sensors.firing import FiringBatch, Timing
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
@@ -25,7 +25,7 @@ from lidarcfg.sensors.sensor import Range
 from lidarcfg.simulate.aim import aim
 from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
 from lidarcfg.world.geodesy import GeoOrigin
-from lidarcfg.world.motion import EDGE_S, Trajectory, are_poses, load_path
+from lidarcfg.world.motion import EDGE_S, Trajectory, load_path
 
 ANYWHERE = GeoOrigin()
 STEP_S = 0.1
@@ -183,8 +183,7 @@ class Drive:
         origin: GeoOrigin = ANYWHERE,
     ) -> None:
         self.rig = loaded(rig, load_rig, Rig)
-        if at is not None and not (np.shape(at) == (4, 4) and are_poses(np.asarray(at, np.float64)[None])[0]):
-            raise LidarcfgError("at is no pose; allowed: T_world_vehicle (4, 4), a rotation and a shift")
+        at = None if at is None else checked_pose("at", at)
         if not isinstance(trajectory, Trajectory):
             trajectory = trajectory_of(at, trajectory, start_ns)
         elif at is not None:

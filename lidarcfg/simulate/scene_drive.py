@@ -3,9 +3,11 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from numpy.typing import ArrayLike
+
 from lidarcfg.config.models import Given
 from lidarcfg.files import loaded
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import checked_pose
 from lidarcfg.sensors.faults import GivenFaults, load_faults
 from lidarcfg.sensors.rig import ReturnMode, Rig, load_rig
 from lidarcfg.simulate.drive import trajectory_of
@@ -33,9 +35,9 @@ class SceneDrive:
         scene: Scene | Given,
         duration_s: float,
         *,
-        at: Array | Trajectory | None = None,
-        trajectory: str | Path | None = None,
-        vehicle: Path | None = None,
+        at: ArrayLike | Trajectory | None = None,
+        trajectory: str | Path | Trajectory | None = None,
+        vehicle: Vehicle | Given | None = None,
         start_ns: int = START_NS,
         return_mode: ReturnMode | None = None,
         faults: GivenFaults = None,
@@ -43,7 +45,7 @@ class SceneDrive:
         """The drive of a rig in a scene, of files or of what is loaded from them.
 
         The vehicle starts at `at`, T_world_vehicle (4, 4), by default the origin, and moves as the file `trajectory`
-        says; or `at` is its trajectory. It is that in the file `vehicle`, or the rig's, or none if that says `none`.
+        says; or either is its trajectory. It is the `vehicle`, or the rig's, or none if that is `none`.
         `return_mode` is for all sensors, instead of the rig's, and so are `faults`: a file of them, a dict with its
         keys, a list, or `none`. Raises LidarcfgError.
         """
@@ -53,6 +55,10 @@ class SceneDrive:
             mounted = replace(mounted, mounts=mounts)
         if faults is not None:
             mounted = replace(mounted, faults=load_faults(faults, [mount.name for mount in mounted.mounts]))
+        if isinstance(trajectory, Trajectory):
+            at, trajectory = trajectory, None
+        if not (at is None or isinstance(at, Trajectory)):
+            at = checked_pose("at", at)
         moving = trajectory_of(at, trajectory, start_ns)
         return cls(
             mounted,

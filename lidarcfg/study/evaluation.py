@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,6 +175,11 @@ class Evaluation(Shown):
     verdict: Verdict | None = None  # of a study with requirements
     verifier: Verifier | None = None  # that reached it, if it was reached here: it knows the rig's counts
 
+    def __repr__(self) -> str:
+        misses = f"misses {self.misses.mean:.2%}, " if self.misses else ""
+        verdict = f", {self.verdict!r}" if self.verdict else ""
+        return f"<Evaluation: {misses}max VSR {self.max_vsr_m:.4f} m{verdict}>"
+
     @property
     def max_vsr_m(self) -> float:
         """Max VSR by the cuboids' faces: the paper's cost. Sensors with a scan pattern, without cones, have no part."""
@@ -204,6 +210,8 @@ def evaluate(
     sensors = [mount.sensor for mount in rig.mounts]
     if fault := without_cones(study.objective, study.detection, study.only_required, sensors):
         raise ConfigError(f"study {study.name!r}: {key_text(fault[0])}{fault[1]}")
+    if not (tolerance is None or isinstance(tolerance, Real)):
+        raise ConfigError(f"tolerance is {tolerance!r}; allowed: a number above 0")
     if tolerance is not None and any(sensor.scan_pattern for sensor in sensors):
         raise ConfigError("a tolerance is that of cones of beams; sensors with a scan pattern have none")
     lidars = rig_lidars(rig)

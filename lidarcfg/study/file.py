@@ -6,7 +6,15 @@ from itertools import combinations, product
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+    model_validator,
+)
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
@@ -37,7 +45,7 @@ from lidarcfg.study.terms import TERMS
 from lidarcfg.study.zones import ELSEWHERE, ZoneFile
 from lidarcfg.vsr.detection import DetectionObject
 from lidarcfg.vsr.region import RegionFile
-from lidarcfg.world.vehicle import VehicleFile
+from lidarcfg.world.vehicle import VehicleFile, vehicle_file
 
 NONE = "none"  # a choice: no sensor
 PRICE_MAX = 1e12
@@ -216,7 +224,7 @@ class StudyFile(Model):
     kind: ClassVar[str] = "study"
     region: RegionFile
     sensors: Annotated[tuple[GroupFile, ...], Field(min_length=1, max_length=SENSORS_MAX)]
-    vehicle: VehicleFile | None = None
+    vehicle: Annotated[VehicleFile | None, BeforeValidator(vehicle_file)] = None
     surroundings: FileName | None = None  # a scene's file, relative to the study's
     visibility: VisibilityFile | None = None
     objective: Objective = Field(default_factory=Objective)

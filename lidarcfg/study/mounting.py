@@ -16,7 +16,7 @@ import numpy as np
 from lidarcfg.config.models import NAME_MAX, error_at
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.sensors.rig import FIRST_HOST, HOSTS, RETURN_MODE, RPM, Mount, ports, resolve_sensor
+from lidarcfg.sensors.rig import FIRST_HOST, HOSTS, RETURN_MODE, Mount, default_rpm, ports, resolve_sensor
 from lidarcfg.sensors.sensor import Sensor, catalogue
 from lidarcfg.study.file import NONE, GroupFile, StudyFile
 from lidarcfg.study.surfaces import Surface, on_surface
@@ -126,7 +126,7 @@ class Slot:
             host=str(FIRST_HOST + number),
             data_port=data_port + number,
             telemetry_port=telemetry_port + number,
-            rpm=RPM,
+            rpm=default_rpm(self.sensor),
             return_mode=RETURN_MODE,
             azimuth_fov_deg=self.azimuth_fov_deg,
             range_m=self.range_m,

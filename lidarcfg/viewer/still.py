@@ -44,7 +44,7 @@ from lidarcfg.world.meshes import Mesh
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SIZE = (1920, 1080)
+SIZE: tuple[int, int] = (1920, 1080)
 PIXEL_BYTES = 22  # of memory to draw one, measured
 LETTER = 0.62  # the mean width of a letter in sizes of its text
 LINE = 1.3  # the height of a line

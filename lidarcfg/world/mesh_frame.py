@@ -35,20 +35,49 @@ def likely_scale(size: Array) -> float:
 
 def likely_rpy_deg(mesh: Mesh) -> Vec3:
     """The likely rotation of a vehicle's mesh into the vehicle frame, x forward and z up: one of TURNS, or none."""
-    vertices, triangles = mesh
-    corners = vertices[triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    size = high - low
-    if not (area.sum() and size.all()):
-        return AS_IS
-    off = abs(area @ corners.mean(axis=1) / area.sum() - (low + high) / 2) / size
+    off = _off_middle(mesh)
+    size = np.ptp(mesh[0], axis=0)
     even = off < EVEN
     if off[Y] < UNEVEN or not (even[X] or even[Z]):
         return AS_IS
     if even[Z] and not (even[X] and size[Z] > size[X]):
         return 90.0, 0.0, 0.0
     return (90.0, 0.0, 90.0) if size[Z] > size[Y] else (0.0, 0.0, -90.0)
+
+
+def gltf_rpy_deg(mesh: Mesh) -> Vec3:
+    """The rotation of a glTF file's mesh into the vehicle frame: by its standard (2.0, section 3.4) y is up, z ahead.
+
+    By its looks x may be ahead, or the file may not be as the standard has it.
+    """
+    if (looks := likely_rpy_deg(mesh)) != AS_IS:
+        return looks
+    off = _off_middle(mesh)
+    if off[Y] < UNEVEN <= off[Z]:
+        return AS_IS
+    size = np.ptp(mesh[0], axis=0)
+    return (90.0, 0.0, 0.0) if size[X] > size[Z] else (90.0, 0.0, 90.0)
+
+
+def gltf_note(rpy_deg: Vec3) -> str:
+    """What is said of a glTF file's mesh that was turned, or was not."""
+    if rpy_deg not in TURNS or "y is up" not in TURNS[rpy_deg]:
+        return "z is up by its looks, though a glTF file has y up; name it under meshes, with rpy_deg, if it has"
+    angles = ", ".join(f"{angle:g}" for angle in rpy_deg)
+    return f"{TURNS[rpy_deg]}, as in glTF files: turned, as by rpy_deg: [{angles}]"
+
+
+def _off_middle(mesh: Mesh) -> Array:
+    """(3,) how far the middle of a mesh's surface is from that of its bounds, over its size; inf without a size."""
+    vertices, triangles = mesh
+    corners = vertices[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    size = high - low
+    if not (area.sum() and size.all()):
+        return np.full(3, np.inf)
+    off: Array = abs(area @ corners.mean(axis=1) / area.sum() - (low + high) / 2) / size
+    return off
 
 
 def unit_warnings(item: MeshFile, mesh: Mesh) -> list[str]:

@@ -29,9 +29,8 @@ NO_MESHES = {  # by suffix: what the file is instead, and what to do
     **dict.fromkeys(
         (".step", ".stp", ".iges", ".igs"), "a CAD model has no triangles; export a mesh of it, for example an STL"
     ),
-    **dict.fromkeys(
-        (".dae", ".3ds", ".blend", ".fbx"), "a format that is not read; export the mesh as glTF, OBJ or STL"
-    ),
+    **dict.fromkeys((".3ds", ".blend", ".fbx"), "a format that is not read; export the mesh as glTF, OBJ or STL"),
+    ".urdf": "a robot; a vehicle or a scene names it under meshes",
     **dict.fromkeys((".png", ".npy"), "heights are no mesh; give them under height_fields, in a scene"),
 }
 
@@ -119,6 +118,8 @@ def read_mesh(path: Path) -> Mesh:
     if path.suffix.lower() in SUFFIXES:
         check_nodes(path)
     plain = _ply_mesh(path) if path.suffix.lower() == ".ply" else None
+    if path.suffix.lower() == ".dae":
+        plain = _collada_mesh(path)
     if plain:
         check_mesh(str(path), plain)
         return plain
@@ -180,6 +181,27 @@ def _ply_mesh(path: Path) -> Mesh | None:
     except (plyfile.PlyParseError, ValueError, OverflowError, MemoryError) as error:
         raise SceneError.damaged(path, error) from None
     return mesh
+
+
+def _collada_mesh(path: Path) -> Mesh:
+    """The mesh in a Collada file in metres, its nodes in their places, with the axes of the file. Raises SceneError."""
+    import trimesh
+
+    try:
+        import collada
+    except ImportError:
+        raise SceneError(f"{path}: pycollada is not installed; pip install 'lidarcfg[convert]'") from None
+    try:
+        scene = trimesh.load_scene(path)
+        mesh = scene.to_mesh()
+        vertices = np.array(mesh.vertices, np.float64)
+        triangles = np.array(mesh.faces, np.int64)
+        metres = trimesh.units.unit_conversion(scene.units or "meters", "meters")
+    except (collada.DaeError, SyntaxError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise SceneError.damaged(path, error, "Collada") from None
+    if not len(triangles):
+        raise SceneError(f"{path}: no triangles")
+    return vertices * metres, triangles
 
 
 def _triangles(path: Path) -> Mesh | None:

@@ -198,8 +198,11 @@ class Trajectory:
 
         Raises ConfigError for fewer than two, for times that do not ascend and for poses that are not rigid.
         """
-        times = np.asarray(times_s, np.float64)
-        T = np.asarray(T_world_vehicle, np.float64)
+        try:
+            times = np.asarray(times_s, np.float64)
+            T = np.asarray(T_world_vehicle, np.float64)
+        except (TypeError, ValueError):
+            raise ConfigError("times or poses are no numbers; allowed: (K,), (K, 4, 4), K > 1") from None
         if times.ndim != 1 or T.shape != (len(times), 4, 4) or len(times) < 2:
             raise ConfigError(
                 f"times and poses are of shapes {times.shape} and {T.shape}; allowed: (K,), (K, 4, 4), K > 1"

@@ -1,6 +1,6 @@
 """A scene: the surroundings of the vehicle in the world frame, from a YAML file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +27,8 @@ from lidarcfg.world.meshes import (
     sphere_mesh,
 )
 from lidarcfg.world.motion import Motion
+from lidarcfg.world.robot import SUFFIXES as ROBOTS
+from lidarcfg.world.robot_body import robot_body
 from lidarcfg.world.scene_file import (
     FILES,
     GROUND,
@@ -147,8 +149,13 @@ def no_scene() -> Scene:
 
 def files_of(file: Model, folder: Path) -> list[Path]:
     """The files that a scene or a vehicle in a folder names, with those that these need."""
-    paths = [folder / item.file for kind in FILES for item in getattr(file, kind, ()) if isinstance(item.file, str)]
-    return [one for path in paths for one in (path, *buffer_files(path))]
+    items = [item for kind in FILES for item in getattr(file, kind, ()) if isinstance(item.file, str)]
+    return [one for item in items for one in (folder / item.file, *_needed(item, folder / item.file))]
+
+
+def _needed(item: SceneObject, path: Path) -> Sequence[Path]:
+    """The files that the file of an object needs."""
+    return robot_body(path, _without(item)).files if is_robot(item) else buffer_files(path)
 
 
 def build_scene(file: SceneFile, path: Path, at: Key = ()) -> Scene:
@@ -197,7 +204,24 @@ def _from_file(item: SceneObject, folder: Path) -> list[ObjectMesh]:
     if isinstance(item, GltfModel):
         return list(model_objects(item, folder))
     assert isinstance(item, MeshFile)
-    return [(item, place_mesh(mesh_from(item.file, folder), item))]
+    return [(item, place_mesh(_mesh_of(item, folder), item))]
+
+
+def is_robot(item: SceneObject) -> bool:
+    """Whether an object is a robot in a URDF."""
+    return Path(str(getattr(item, "file", ""))).suffix.lower() in ROBOTS
+
+
+def _mesh_of(item: MeshFile, folder: Path) -> Mesh:
+    """The triangles of a mesh, or the body of a robot, in its own frame. Raises SceneError."""
+    if is_robot(item):
+        return robot_body(folder / str(item.file), _without(item)).mesh
+    return mesh_from(item.file, folder)
+
+
+def _without(item: SceneObject) -> tuple[str, ...] | None:
+    """The links that are no part of a robot's body, where a vehicle says so."""
+    return getattr(item, "without", None)
 
 
 def _position_m(item: Ground | SceneObject) -> Position:

@@ -174,7 +174,7 @@ class SceneFile(Model):
     """The keys of a scene file."""
 
     kind: ClassVar[str] = "scene"
-    name: Name
+    name: Name = "scene"
     ground: Ground | None = None
     boxes: tuple[Box, ...] = ()
     spheres: tuple[Sphere, ...] = ()

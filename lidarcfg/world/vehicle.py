@@ -4,29 +4,33 @@ import os
 import shlex
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydantic import model_validator
 
 from lidarcfg.config.document import Key
-from lidarcfg.config.kinds import OTHERS
-from lidarcfg.config.models import Model, Position, Section, error_at, load, validation_error
+from lidarcfg.config.kinds import OTHERS, YAML_SUFFIXES
+from lidarcfg.config.models import Given, Model, Position, Section, error_at, load_or_check, validation_error
 from lidarcfg.core import world
-from lidarcfg.errors import ConfigError
-from lidarcfg.files import example
+from lidarcfg.errors import ConfigError, SceneError
+from lidarcfg.files import example, loaded
 from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.footprint import Footprint
-from lidarcfg.world.mesh_frame import axes_warnings, place_warnings, unit_warnings
+from lidarcfg.world.gltf import SUFFIXES as GLTF
+from lidarcfg.world.mesh_frame import axes_warnings, gltf_note, gltf_rpy_deg, place_warnings, unit_warnings
 from lidarcfg.world.mesh_source import Triangles
-from lidarcfg.world.meshes import Mesh
-from lidarcfg.world.scene import Scene, build_scene
+from lidarcfg.world.meshes import Mesh, read_mesh
+from lidarcfg.world.robot import read_robot
+from lidarcfg.world.robot_body import ground_notes, shaped_links
+from lidarcfg.world.scene import Scene, build_scene, is_robot
 from lidarcfg.world.scene_file import KINDS, Box, Cylinder, MeshFile, Plane, SceneFile, SceneObject, Sphere, check_names
 from lidarcfg.world.solids import (
     connected_components,
@@ -83,6 +87,7 @@ class BodyMesh(BodyKeys, MeshFile):
     """A mesh of a vehicle."""
 
     position_m: Position = ORIGIN
+    without: tuple[str, ...] | None = None  # links of a URDF that are no part of the body; by default its LiDARs
 
 
 class VehicleFile(Model):
@@ -245,6 +250,11 @@ class Vehicle:
         return next((solid.name for solid in self.solids if solid.contains_box(low_m, high_m)), None)
 
 
+def vehicle_file(given: Any) -> Any:
+    """A validator: in a dict, a `Vehicle` may stand where its keys would."""
+    return given.file if isinstance(given, Vehicle) else given
+
+
 def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     """The vehicle under a key of a file. Raises ConfigError for an invalid mesh, and for an open body to exclude."""
     began = time.perf_counter()
@@ -270,8 +280,8 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
                 what = f"{_describe_open(item, edges)}; {solid} closed parts; it still blocks beams"
                 warnings.append(_warning(path, (*at, kind, i), what))
             if kind == "meshes":
-                looks = unit_warnings(item, mesh)
-                if len(file.meshes) == 1:
+                looks = unit_warnings(item, mesh) + _left_out(item, path.parent)
+                if len(file.meshes) == 1 and not is_robot(item):  # whose axes and place are given
                     looks += axes_warnings(item, mesh) + place_warnings(item, mesh)
                 warnings += [_warning(path, (*at, kind, i, "file"), what) for what in looks]
     if len(scene.triangles) > MANY_TRIANGLES:
@@ -288,6 +298,15 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     return Vehicle(scene, excluded, file.allow_inside, whole, closed, tuple(warnings))
 
 
+def _left_out(item: BodyMesh, folder: Path) -> list[str]:
+    """What is said of the links of a robot that were left out without being named."""
+    if item.without is not None or not is_robot(item):
+        return []
+    robot = read_robot(folder / str(item.file))
+    left_out = [name for name in shaped_links(robot) if name in robot.lidars]
+    return [f"left out of the body, as LiDARs: {', '.join(left_out)}; without: [] keeps them"] if left_out else []
+
+
 def _whole(mesh: BodyMesh, folder: Path) -> BodyMesh:
     """A body with the absolute path of its file, if it has one."""
     if not isinstance(mesh.file, str):
@@ -295,12 +314,25 @@ def _whole(mesh: BodyMesh, folder: Path) -> BodyMesh:
     return mesh.model_copy(update={"file": os.path.realpath(folder / mesh.file)})
 
 
-def load_vehicle(path: str | Path) -> Vehicle:
-    """The vehicle in a YAML file, or one whose only body is a mesh file. Raises ConfigError."""
-    path = example(path)
-    if path.suffix in (".yaml", ".yml"):
-        return vehicle(load(path, VehicleFile), path, ())
-    return vehicle(VehicleFile(meshes=(BodyMesh(name="body", file=path.name),)), path)
+def load_vehicle(given: Given) -> Vehicle:
+    """The vehicle in a YAML file or of a dict with its keys, or one whose only body is a mesh file.
+
+    Raises ConfigError.
+    """
+    if not isinstance(given, str | Path) or Path(given).suffix in YAML_SUFFIXES:
+        file, path = load_or_check(given, VehicleFile)
+        return vehicle(file, path, ())
+    path = example(given)
+    body = BodyMesh(name="body", file=path.name)
+    notes: list[str] = []
+    if path.suffix.lower() in GLTF:
+        with suppress(SceneError):  # which is told where the mesh is made
+            body = body.model_copy(update={"rpy_deg": gltf_rpy_deg(read_mesh(path))})
+            notes.append(f"{path}: {gltf_note(body.rpy_deg)}")
+    made = vehicle(VehicleFile(meshes=(body,)), path)
+    if is_robot(body):
+        notes += [f"{path}: {note}" for note in ground_notes(made.scene.vertices_m)]
+    return replace(made, warnings=(*notes, *made.warnings))
 
 
 def rig_vehicle(rig: Rig) -> Vehicle | None:
@@ -309,11 +341,13 @@ def rig_vehicle(rig: Rig) -> Vehicle | None:
     return vehicle(section.checked(VehicleFile), Path(section.path), section.at) if section else None
 
 
-def resolve_vehicle(rig: Rig | None, path: Path | None) -> Vehicle | None:
-    """The vehicle in a file, or the rig's if `path` is None; no vehicle if it is `none`. Raises ConfigError."""
-    if path is None:
+def resolve_vehicle(rig: Rig | None, given: Vehicle | Given | None) -> Vehicle | None:
+    """The vehicle that is given, or the rig's if that is None; no vehicle if it is `none`. Raises ConfigError."""
+    if given is None:
         return rig_vehicle(rig) if rig else None
-    return None if str(path) == NO_VEHICLE else load_vehicle(path)
+    if isinstance(given, str | Path) and str(given) == NO_VEHICLE:
+        return None
+    return loaded(given, load_vehicle, Vehicle)
 
 
 def check_outside(bodies: Vehicle, mounts: Iterable[Mount], path: Path | None = None) -> None:

@@ -28,6 +28,7 @@ from lidarcfg.study.loading import load_study
 from lidarcfg.vsr.region import RegionFile, _sizes
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.scene import load_scene
+from lidarcfg.world.vehicle import rig_vehicle
 from tests.command_line import lidarcfg
 
 ROOT = Path(__file__).parents[2]
@@ -121,7 +122,7 @@ def test_a_template_is_valid_with_and_without_what_is_optional(tmp_path, kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", vehicles())
 def test_what_is_optional_in_a_study_with_a_vehicle_is_valid_too(tmp_path, name):
-    study, _ = write_template("study", tmp_path / "study.yaml", name)
+    study, *_ = write_template("study", tmp_path / "study.yaml", name)
     (tmp_path / "scene.yaml").write_text("name: wall\nground: {reflectivity: 10}\n")
     study.write_text(re.sub(r"^#(?=\s*(- \{?)?[a-z])", "", study.read_text(), flags=re.M))
     loaded = load_study(study)
@@ -134,15 +135,41 @@ def test_what_is_optional_in_a_study_with_a_vehicle_is_valid_too(tmp_path, name)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", vehicles())
 def test_a_study_begins_with_a_vehicle_and_can_be_searched(tmp_path, name):
-    study, body = write_template("study", tmp_path / "study.yaml", name)
-    assert body.read_bytes() == (ROOT / f"data/vehicles/{name}.ply").read_bytes()
+    study, body, *_ = write_template("study", tmp_path / "study.yaml", name)
+    assert body.read_bytes() == (ROOT / "data/vehicles" / body.name).read_bytes()
+    assert body.stem == name
     loaded = load_study(study)
     corners = [loaded.space.poses(np.full((1, loaded.space.dimensions), value)) for value in (0.0, 0.5, 1.0)]
     assert max(float(loaded.space.violation(poses)[0]) for poses in corners) == 0
     assert list(study_warnings(study, loaded)) == []
     assert (loaded.region.min_m < loaded.vehicle.scene.vertices_m.min(axis=0) + 1e-9).all()
-    (own,) = write_template("study", tmp_path / "deep/er/study.yaml", str(body))
+    own, *_ = write_template("study", tmp_path / "deep/er/study.yaml", str(body))
     assert np.array_equal(load_study(own).space.upper, loaded.space.upper)
+
+
+def test_a_study_begins_with_a_robot_and_its_rig(tmp_path):
+    """Its ground is where its wheels are, 0.1 m below base_link; its own LiDARs are a rig on the same body."""
+    written = write_template("study", tmp_path / "my.yaml", "delivery-robot", (said := []).append)
+    names = ["my.yaml", "delivery-robot.urdf", "delivery-robot-lid.stl", "my-rig.yaml"]
+    assert [path.name for path in written] == names
+    assert any("left out of the body, as LiDARs: vlp16, mid360_front" in line for line in said)
+    study = load_study(written[0])
+    rig = load_rig(written[3])
+    assert study.region.min_m[2] == -0.1
+    assert [mount.model for mount in rig.mounts] == ["vlp-16", "mid-360"]
+    own = rig_vehicle(rig)
+    assert np.array_equal(own.scene.vertices_m, study.vehicle.scene.vertices_m)
+    assert (own.warnings, study.vehicle.warnings) == ((), ())
+    with pytest.raises(ConfigError, match=r"my-rig.yaml: exists already"):
+        (tmp_path / "my.yaml").unlink()
+        write_template("study", tmp_path / "my.yaml", "delivery-robot")
+
+
+def test_a_study_of_an_open_body_is_valid(tmp_path):
+    plate = trimesh.Trimesh([(0, 0, 0), (4, 0, 0), (0, 2, 0), (0, 0, 1)], [(0, 2, 1), (0, 1, 3)])
+    plate.export(tmp_path / "plate.ply")
+    (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "plate.ply"))
+    assert load_study(study).vehicle.excluded == ()
 
 
 @pytest.mark.slow
@@ -172,7 +199,8 @@ def test_a_template_replaces_nothing(tmp_path):
         write_template("study", tmp_path / "other.yaml", "truck")
     assert not (tmp_path / "other.yaml").exists()
     with pytest.raises(
-        ConfigError, match=r"no vehicle is called 'truk'; allowed: bus, sedan, shuttle, truck, or a mesh file"
+        ConfigError,
+        match=r"no vehicle is called 'truk'; allowed: bus, delivery-robot, sedan, shuttle, truck, a mesh file or a URDF",
     ):
         write_template("study", tmp_path / "other.yaml", "truk")
     with pytest.raises(ConfigError, match=r"gone.ply: no such file"):
@@ -451,7 +479,7 @@ def test_cuboid_sizes_that_are_proposed_are_round_and_divide(length, edge, sizes
 
 
 def test_maps_that_are_no_meshes_are_refused_by_name(tmp_path):
-    for name in ("bus.step", "bus.dae"):
+    for name in ("bus.step", "bus.blend"):
         (tmp_path / name).write_text("x")
         with pytest.raises(SceneError, match=rf"{name}: a .*; export (a mesh of it, .*STL|the mesh as .*STL)"):
             read_mesh(tmp_path / name)

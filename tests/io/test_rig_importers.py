@@ -16,12 +16,14 @@ from urdf_parser_py.urdf import URDF
 
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.io.rig_importers.sensor_kit import guessed_model, is_lidar, is_other
 from lidarcfg.io.ros_messages import Messages, ros_store
+from lidarcfg.sensors.lidar_names import guessed_model, is_lidar, is_other
 from lidarcfg.sensors.rig import load_rig, save_rig
+from lidarcfg.world.vehicle import check_outside, rig_vehicle
 from tests.io.test_convert_rig import odd_rig
 
 ROOF = Path(__file__).parents[2] / "data/rigs/roof.yaml"
+ROBOT = Path(__file__).parents[2] / "data/vehicles/delivery-robot.urdf"
 
 KIT = """<?xml version="1.0"?>
 <robot name="bus">
@@ -100,7 +102,7 @@ def test_a_urdf_becomes_a_rig(here):
         np.testing.assert_allclose(mounts[name].T_vehicle_sensor, chained(robot, link, "base_link"), atol=1e-14)
     assert mounts["rear_os_sensor"].rpy_rad == (0.1, 0.2, -0.3)  # as it stands in the file
     assert said[0] == "lidarcfg: warning: kit.urdf: rack: a joint that moves, taken at zero"
-    assert "its meshes (2, 1 of them scaled) are not taken" in said[1]
+    assert "its body is not taken: link 'base_link': package 'bus' is not found" in said[1]
     assert said[2].endswith("taken by name: top_laser as vlp-16; --model NAME=MODEL says otherwise")
     assert said[3].endswith("a rig has LiDARs only; left out: camera_front, rear/os_imu")
     assert len(said) == 4
@@ -245,8 +247,65 @@ def test_autowares_two_files_are_read_together(source, here):
         top.T_vehicle_sensor[:3, :3], (kit * Rotation.from_euler("z", 1.575)).as_matrix(), atol=1e-12
     )
     assert by_name["velodyne_rear_base_link"].rpy_rad == (-0.02, 0.7281, 3.1416)
-    assert said[0].endswith("by the name the base of the housing; its beams start above that")
+    assert said[0].endswith("its beams start above that: --origin NAME=X,Y,Z says where")
     assert said[1].endswith("left out: camera0/camera_link, gnss_link")
+
+
+def test_where_beams_start_in_a_housing_can_be_said(here):
+    """By SciPy: the offset is along the axes of the housing's base, which is not upright."""
+    Path("kit").mkdir()
+    for name, text in CALIBRATIONS.items():
+        (Path("kit") / name).write_text(text)
+    plain, _ = converted("kit", "--model", "vlp-16")
+    origins = ("--origin", "velodyne_top_base_link=0.01,-0.02,0.0661", "--origin", "0,0,0.0377")
+    rig, said = converted("kit", "--model", "vlp-16", *origins)
+    for before, after, offset in zip(plain.mounts, rig.mounts, ((0, 0, 0.0377), (0.01, -0.02, 0.0661)), strict=True):
+        turn = Rotation.from_euler("xyz", before.rpy_rad)
+        np.testing.assert_allclose(after.position_m, before.position_m + turn.apply(offset), atol=1e-12)
+        assert after.rpy_rad == before.rpy_rad
+    assert not any("housing" in line for line in said)
+    one = converted("kit", "--model", "vlp-16", "--origin", "velodyne_top_base_link=0,0,1")[1]
+    assert one[0].startswith("lidarcfg: warning: kit: velodyne_rear_base_link: by the name the base of the housing")
+    Path("rig.yaml").unlink()
+    assert "--origin nose: no frame is called so" in mistake("kit", "--model", "vlp-16", "--origin", "nose=0,0,1")
+    for wrong in ("0,0", "0,0,9", "a=0,0,nan", "=0,0,0"):
+        assert "is not NAME=X,Y,Z in metres" in run("kit", "-o", "rig.yaml", "--origin", wrong).stderr
+    assert "--origin is for kits" in run(ROOF, "-o", "a.urdf", "--origin", "0,0,0").stderr
+
+
+def test_a_urdf_becomes_a_rig_on_its_body(here):
+    """The delivery robot: its LiDARs where the file has them, outside of its body; by hand."""
+    (here / "robot").mkdir()
+    for path in ROBOT.parent.glob("delivery-robot*"):
+        (here / "robot" / path.name).write_bytes(path.read_bytes())
+    rig, said = converted("robot/delivery-robot.urdf")
+    assert {mount.name: mount.position_m for mount in rig.mounts} == {
+        "vlp16": pytest.approx((0.1, 0, 0.5777)),
+        "mid360_front": (0.34, 0, 0.15),
+    }
+    (mesh,) = rig.vehicle.values["meshes"]
+    assert mesh["file"] == str(here / "robot/delivery-robot.urdf")
+    assert mesh["without"] == ("vlp16", "mid360_front")
+    body = rig_vehicle(rig)
+    check_outside(body, rig.mounts)
+    assert body.body_at(np.array((0, 0, 0.2))) == "body"
+    assert body.warnings == ()
+    assert [line.partition(".urdf: ")[2] for line in said[:2]] == [
+        "left out of the body, as LiDARs: vlp16, mid360_front",
+        "its lowest point is at z = -0.100 m: the ground is there, though a scene's is mostly at 0",
+    ]
+    kept, _ = converted("robot/delivery-robot.urdf", "--model", "mid360_front=none")
+    assert [mount.name for mount in kept.mounts] == ["vlp16"]
+    assert kept.vehicle.values["meshes"][0]["without"] == ("vlp16",)
+
+
+def test_a_lidar_in_the_body_is_told(here):
+    text = ROBOT.read_text().replace("delivery-robot-lid.stl", str(ROBOT.parent / "delivery-robot-lid.stl"))
+    Path("r.urdf").write_text(text.replace('<origin xyz="0 0 0.1377"/>', '<origin xyz="0 0 0.05"/>'))
+    _, said = converted("r.urdf")
+    assert said[-1] == (
+        "lidarcfg: warning: r.urdf: vlp16 is inside the vehicle's 'body'; move it, or set allow_inside: true"
+    )
 
 
 def test_mistakes_of_a_calibration(here):
@@ -313,6 +372,8 @@ def test_nuscenes_has_a_calibration_for_each_scene(here):
             "scene-2",
         )
         np.testing.assert_allclose(mount.T_vehicle_sensor[:3, :3], turns[2].rotation_matrix, atol=1e-12)
+        what = "LIDAR_TOP: yaw -92.0°, as nuScenes has it: its y axis points ahead, and its x axis, where azimuths start, to the right"
+        assert said[0] == f"lidarcfg: warning: {folder}: {what}"
         assert said[-1].endswith("a rig has LiDARs only; left out: CAM_FRONT")
         Path("rig.yaml").unlink()
 

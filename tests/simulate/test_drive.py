@@ -202,8 +202,13 @@ def test_what_is_no_drive_is_said():
         next(drive.firings(0, 1, frame="sensor"))
     with refused("at is given beside a trajectory that says where it starts; allowed: one of them"):
         Drive(RIG, moving(), at=np.eye(4))
-    for at in (np.eye(3), 2 * np.eye(4), np.full((4, 4), math.nan)):
-        with refused("at is no pose; allowed: T_world_vehicle (4, 4), a rotation and a shift"):
+    wrong = {
+        "at has the shape (3, 3)": np.eye(3),
+        "at is no rotation: R Rᵀ differs from 1 by 3": np.diag([2.0, 2, 2, 1]),
+        "at has values that are not finite": np.full((4, 4), math.nan),
+    }
+    for said, at in wrong.items():
+        with refused(f"{said}; allowed: a pose (4, 4), a rotation and a shift in metres"):
             Drive(RIG, at=at)
     for start_ns in (-1, 1.5, 2**62):
         with refused(f"start_ns is {start_ns}; allowed: whole, from 0 to below 4294967296000000000"):

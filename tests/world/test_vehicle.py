@@ -9,8 +9,12 @@ import numpy as np
 import open3d as o3d
 import pytest
 
+from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, transform
+from lidarcfg.world.mesh_frame import gltf_rpy_deg
+from lidarcfg.world.meshes import box_mesh
+from lidarcfg.world.scene_file import Box
 from lidarcfg.world.solids import connected_components, merge_vertices, open_edges
 from lidarcfg.world.vehicle import load_vehicle
 from tests.command_line import lidarcfg
@@ -77,7 +81,9 @@ def test_a_saloon_in_any_format_is_the_same_closed_body(tmp_path, suffix):
     else:
         save(body, path)
     found = load_vehicle(path)
-    assert found.warnings == ()
+    assert [said.partition(";")[0] for said in found.warnings] == [
+        f"{path}: z is up by its looks, though a glTF file has y up"
+    ] * (suffix in ("glb", "gltf"))
     assert list(found.closed) == ["body"]
     assert len(found.scene.triangles) == 5922
     x = np.linspace(-2.6, 2.6, 40)
@@ -104,7 +110,8 @@ def test_the_nodes_of_a_gltf_are_each_in_their_place(tmp_path):
         ],
         [0],
     )
-    body = load_vehicle(tmp_path / "nodes.glb")
+    (tmp_path / "nodes.yaml").write_text(vehicle_text("nodes.glb"))  # in which nothing is turned
+    body = load_vehicle(tmp_path / "nodes.yaml")
     vertices, triangles = body.closed["body"]
     turn = pose((100, 0, 0), (0, 0, np.pi / 2))
     local = (CORNERS + np.array([10, 0, 0]), CORNERS * 2, CORNERS * 2 + np.array([0, 0, 6]))
@@ -112,6 +119,29 @@ def test_the_nodes_of_a_gltf_are_each_in_their_place(tmp_path):
     np.testing.assert_allclose(np.unique(vertices[np.unique(triangles)].round(4), axis=0), expected, atol=2e-4)
     assert len(triangles) == 12
     assert len(connected_components((vertices, triangles))) == 3
+
+
+@pytest.mark.parametrize(("rpy_deg", "said"), [((90, 0, 90), "y is up and z forward"), ((90, 0, 0), "y is up")])
+def test_a_gltf_file_is_turned_as_its_standard_has_it(tmp_path, rpy_deg, said):
+    """The saloon as glTF writes it: y up, and z or x ahead; found as the PLY has it."""
+    body = o3d.io.read_triangle_mesh(SEDAN)
+    x, y, z = np.asarray(body.vertices).T
+    lying = {(90, 0, 90): (y, z, x), (90, 0, 0): (x, z, -y)}[rpy_deg]
+    path = tmp_path / "body.glb"
+    write_glb(path, [{"mesh": 0}], [0], np.stack(lying, axis=1), np.asarray(body.triangles))
+    found = load_vehicle(path)
+    angles = ", ".join(map(str, rpy_deg))
+    assert found.warnings == (f"{path}: {said}, as in glTF files: turned, as by rpy_deg: [{angles}]",)
+    np.testing.assert_allclose(np.ptp(found.scene.vertices_m, axis=0), np.ptp([x, y, z], axis=1), atol=1e-6)
+    np.testing.assert_allclose(found.scene.vertices_m.min(axis=0), (x.min(), y.min(), z.min()), atol=1e-6)
+    (tmp_path / "v.yaml").write_text(yaml_text(found.section.values))
+    assert np.array_equal(load_vehicle(tmp_path / "v.yaml").scene.vertices_m, found.scene.vertices_m)
+
+
+@pytest.mark.parametrize(("size", "rpy_deg"), [((4, 2, 1), (90, 0, 0)), ((1, 2, 4), (90, 0, 90))])
+def test_a_gltf_file_without_looks_is_taken_by_the_standard(size, rpy_deg):
+    """A box: y is up, and the longer side ahead."""
+    assert gltf_rpy_deg(box_mesh(Box(name="b", reflectivity=0, center_m=(0, 0, 0), size_m=size))) == rpy_deg
 
 
 def strip(vertices):

@@ -9,8 +9,8 @@ from typing import Any
 
 from lidarcfg.config.document import Document, document
 from lidarcfg.errors import ConversionError
-from lidarcfg.io.rig_importers.frame_tree import FrameTree, Joint, Pose
 from lidarcfg.io.rig_importers.sensor_kit import SensorKit, kit_of_tree
+from lidarcfg.world.frame_tree import FrameTree, Joint, Pose
 
 FILES = ("sensors_calibration.yaml", "sensor_kit_calibration.yaml")
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")

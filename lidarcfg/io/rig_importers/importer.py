@@ -13,7 +13,8 @@ from lidarcfg.io.rig_importers.kitti import is_kitti, read_kitti
 from lidarcfg.io.rig_importers.nuscenes import read_nuscenes, tables_folder
 from lidarcfg.io.rig_importers.sensor_kit import SensorKit
 from lidarcfg.io.rig_importers.tf_static import read_tf_static
-from lidarcfg.io.urdf import SUFFIXES, read_urdf
+from lidarcfg.io.urdf import read_urdf
+from lidarcfg.world.robot import SUFFIXES
 
 ALLOWED = "a URDF, Autoware's calibration, nuScenes' tables, a bag, KITTI's calibration, JSON for CARLA"
 

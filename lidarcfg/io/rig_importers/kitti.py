@@ -12,8 +12,8 @@ import numpy as np
 from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array, inverse
 from lidarcfg.inputs import read_regular
-from lidarcfg.io.rig_importers.frame_tree import Pose
 from lidarcfg.io.rig_importers.sensor_kit import LidarFrame, SensorKit
+from lidarcfg.world.frame_tree import Pose
 
 RAW = "calib_imu_to_velo.txt"
 ODOMETRY = "calib.txt"

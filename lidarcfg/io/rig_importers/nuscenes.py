@@ -5,13 +5,14 @@ scenes, have one. A LiDAR's frame is the table's: that of nuScenes' own LIDAR_TO
 """
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.inputs import check_memory, check_regular
-from lidarcfg.io.rig_importers.frame_tree import listed, pose_of_quaternion
 from lidarcfg.io.rig_importers.sensor_kit import LidarFrame, SensorKit
+from lidarcfg.world.frame_tree import listed, pose_of_quaternion
 
 SENSOR = "sensor.json"
 CALIBRATED = "calibrated_sensor.json"
@@ -23,6 +24,8 @@ KEYS = {  # of the tables of version 1.0, those that are read
     "sample_data.json": ("sample_token", "calibrated_sensor_token"),
 }
 OWN = {"LIDAR_TOP": "hdl-32e"}  # nuScenes' own LiDAR (Caesar et al. 2020, table 2)
+OWN_YAW_DEG = -90.0  # of its frame, nearly
+AROUND_DEG = 10.0
 Row = dict[str, Any]
 
 
@@ -61,7 +64,17 @@ def read_nuscenes(folder: Path, scene: str | None) -> SensorKit:
         pose = pose_of_quaternion(at, _numbers(at, row, "translation", 3), _numbers(at, row, "rotation", 4))
         hints = (OWN[name],) if name in OWN else ()
         frames[name] = LidarFrame(name, pose, hints)
-    return SensorKit(str(folder), scene or folder.resolve().name, tuple(frames.values()), tuple(others))
+    notes = tuple(note for frame in frames.values() for note in _turned(frame))
+    return SensorKit(str(folder), scene or folder.resolve().name, tuple(frames.values()), tuple(others), (), notes)
+
+
+def _turned(frame: LidarFrame) -> list[str]:
+    """What is said of nuScenes' own LiDAR, whose y axis points ahead."""
+    yaw_deg = math.degrees(frame.pose.rpy_rad[2])
+    if frame.name not in OWN or abs(yaw_deg - OWN_YAW_DEG) > AROUND_DEG:
+        return []
+    what = "its y axis points ahead, and its x axis, where azimuths start, to the right"
+    return [f"{frame.name}: yaw {yaw_deg:.1f}°, as nuScenes has it: {what}"]
 
 
 def _table(folder: Path, name: str) -> list[Row]:

@@ -5,56 +5,17 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from lidarcfg.config.models import COORDINATE_MAX_M, NAME_MAX
+from lidarcfg.config.models import COORDINATE_MAX_M, NAME_MAX, Section, Vec3
 from lidarcfg.errors import ConversionError
-from lidarcfg.io.rig_importers.frame_tree import FrameTree, Pose, listed
-from lidarcfg.io.ros_names import BASE_LINK
+from lidarcfg.sensors.lidar_names import guessed_model, is_lidar, is_other
 from lidarcfg.sensors.rig import MOUNT_NAME, RETURN_MODE, RPM, Mount, Rig, default_host, ports
 from lidarcfg.sensors.sensor import Sensor, catalogue, custom_sensor, load_sensor
-
-ALIASES = {  # what people call models of the catalogue besides their names, without case and punctuation
-    "alphaprime": "vls-128",
-    "hdl32": "hdl-32e",
-    "vlp32": "vlp-32c",
-    "xt16": "pandar-xt16",
-    "xt32": "pandar-xt32",
-    "xt32m": "xt32m2x",
-}
-BEAMS_ONLY = "fan-"  # models of the catalogue that nobody sells
-LIDARS = re.compile(
-    r"lidar|laser|velodyne|ouster|hesai|pandar|robosense|helios|bpearl|livox|puck|(^|[_/])(os|os[012]|vlp|vls|hdl)([_/\d]|$)"
-)
-OTHERS = re.compile(r"cam|imu|gnss|gps|(^|[_/])ins([_/]|$)|radar|sonar|ultrasonic|depth|optical|stereo|realsense|zed")
-
-
-def guessed_model(*texts: str) -> str | None:
-    """The catalogue's model named in the first text that names one; the longest name in it counts."""
-    known = {plain(name): name for name in catalogue() if not name.startswith(BEAMS_ONLY)} | ALIASES
-    for text in texts:
-        found = [name for name in known if name in plain(text)]
-        if found:
-            return known[max(found, key=len)]
-    return None
-
-
-def plain(text: str) -> str:
-    """A text in lower case, without blanks and punctuation."""
-    return re.sub(r"[^a-z0-9]", "", text.lower())
-
-
-def is_other(name: str) -> bool:
-    """Whether a frame is called as a sensor that is no LiDAR."""
-    return bool(OTHERS.search(name.lower()))
-
-
-def is_lidar(name: str) -> bool:
-    """Whether a frame is called as a LiDAR."""
-    return bool(LIDARS.search(name.lower())) or guessed_model(name) is not None
-
+from lidarcfg.world.frame_tree import BASE_LINK, FrameTree, Pose, listed
 
 LEAVE_OUT = "none"  # in place of a model: the frame is no LiDAR of the rig
 DRIVER_FRAME = "os_lidar"  # below os_sensor, which is the frame of an Ouster's points here
 SENSOR_FRAME = "os_sensor"
+NOWHERE: Mapping[str, Vec3] = {}
 HOUSING = "_base_link"  # ends the names of frames at the base of a housing
 
 
@@ -80,6 +41,7 @@ class SensorKit:
     others: tuple[str, ...] = ()  # sensors that a rig cannot hold
     candidates: tuple[str, ...] = ()  # all frames, where more than the LiDARs' may be named
     notes: tuple[str, ...] = ()  # what was assumed
+    vehicle: Section | None = None  # the body, as a rig has it
 
 
 def kit_of_tree(
@@ -136,21 +98,29 @@ def _tops(tree: FrameTree, names: tuple[str, ...]) -> str:
     return listed(tuple(dict.fromkeys(tree.above(one)[-1] if tree.above(one) else one for one in names)))
 
 
-def rig_of_kit(kit: SensorKit, models: Mapping[str, str], on_warning: Callable[[str], None]) -> Rig:
+def rig_of_kit(
+    kit: SensorKit,
+    models: Mapping[str, str],
+    on_warning: Callable[[str], None],
+    origins_m: Mapping[str, Vec3] = NOWHERE,
+) -> Rig:
     """The rig of a kit's LiDARs.
 
     `models` says what they are, by frame: a model, a sensor's file, or none; under the name "" that of all others.
+    `origins_m` says where their beams start, by frame and in that; under "" where those of all other housings do.
     `on_warning` gets what was guessed and what the rig cannot hold. Raises ConversionError, ConfigError.
     """
     known = kit.candidates or tuple(frame.name for frame in kit.frames)
-    for name in models:
-        if name and name not in known:
-            raise ConversionError(f"{kit.where}: --model {name}: {_unknown(name, known)}")
+    for option, names_given in (("--model", models), ("--origin", origins_m)):
+        for name in names_given:
+            if name and name not in known:
+                raise ConversionError(f"{kit.where}: {option} {name}: {_unknown(name, known)}")
     told = list(kit.notes)
     guesses: list[str] = []
     rest = models.get("")
     rest_is_used = False
     unknown: list[str] = []
+    housings: list[str] = []
     mounts: list[Mount] = []
     names: dict[str, str] = {}
     left_out = list(kit.others)
@@ -170,6 +140,11 @@ def rig_of_kit(kit: SensorKit, models: Mapping[str, str], on_warning: Callable[[
             continue
         sensor = load_sensor(model) if model else custom_sensor(frame.elevation_deg)
         whole = model if model is None or model in catalogue() else os.path.realpath(model)
+        origin_m = origins_m.get(frame.name, origins_m.get("") if frame.name.endswith(HOUSING) else None)
+        if origin_m:
+            frame = replace(frame, pose=frame.pose.moved(origin_m))
+        elif frame.name.endswith(HOUSING):
+            housings.append(frame.name)
         mounts.append(_mount(kit, len(mounts), frame, sensor, whole, names))
     if unknown:
         what = f"no name says the model of {listed(tuple(unknown))}"
@@ -185,13 +160,14 @@ def rig_of_kit(kit: SensorKit, models: Mapping[str, str], on_warning: Callable[[
             load_sensor(rest)  # whether there is one
         one = kit.frames[0].name
         told.append(f"--model {rest} is not used: it is for frames of unknown model; say --model {one}={rest}")
-    if housings := [mount.name for mount in mounts if mount.name.endswith(HOUSING)]:
-        told.append(f"{', '.join(housings)}: by the name the base of the housing; its beams start above that")
+    if housings:
+        what = "by the name the base of the housing; its beams start above that: --origin NAME=X,Y,Z says where"
+        told.append(f"{', '.join(housings)}: {what}")
     if left_out:
         told.append(f"a rig has LiDARs only; left out: {', '.join(left_out)}")
     for text in told:
         on_warning(f"{kit.where}: {text}")
-    return Rig(kit.name[:NAME_MAX] or "rig", tuple(mounts))
+    return Rig(kit.name[:NAME_MAX] or "rig", tuple(mounts), kit.vehicle)
 
 
 def _mount(

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from lidarcfg.errors import ConversionError
 from lidarcfg.io.bag_reader import open_bag
-from lidarcfg.io.rig_importers.frame_tree import FrameTree, Joint, pose_of_quaternion
 from lidarcfg.io.rig_importers.sensor_kit import SensorKit, kit_of_tree
+from lidarcfg.world.frame_tree import FrameTree, Joint, pose_of_quaternion
 
 TF_STATIC = "/tf_static"
 

@@ -9,8 +9,8 @@ import numpy as np
 from lidarcfg.config.models import Vec3
 from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array, angles, inverse, pose
-from lidarcfg.io.ros_names import BASE_LINK
 
+BASE_LINK = "base_link"  # REP-105's name for the vehicle frame
 UNIT = 1e-3  # the length of a quaternion differs by at most that from 1
 NAMED = 12  # frames that an error names, at most
 
@@ -33,6 +33,11 @@ class Pose:
     def matrix(self) -> Array:
         """(4, 4)."""
         return pose(self.position_m, self.rpy_rad)
+
+    def moved(self, by_m: Vec3) -> "Pose":
+        """The pose of a frame that is moved along its own axes."""
+        x, y, z = (self.matrix @ (*by_m, 1.0))[:3].tolist()
+        return Pose((x, y, z), self.rpy_rad)
 
 
 @dataclass(frozen=True)
