@@ -13,6 +13,12 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+def a_thing(value: object) -> str:
+    """The class of a value of Python's with its article."""
+    name = type(value).__name__
+    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
+
+
 def reason(error: OSError) -> str:
     """Why the operating system refused, such as `no such file or directory`."""
     return (error.strerror or str(error)).lower()

@@ -13,7 +13,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
-from lidarcfg.errors import ConversionError, LidarcfgError
+from lidarcfg.errors import ConversionError, LidarcfgError, a_thing
 
 T = TypeVar("T")
 
@@ -41,7 +41,7 @@ def checked_path(given: Any, what: str) -> Path:
     """A path that a user gives. Raises LidarcfgError for anything else, such as an array."""
     if isinstance(given, str | os.PathLike):
         return Path(os.fspath(given))
-    raise LidarcfgError(f"{what} is a {type(given).__name__}; allowed: a path")
+    raise LidarcfgError(f"{what} is {a_thing(given)}; allowed: a path")
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarcfg import maths
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, a_thing
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]  # nanoseconds, and other whole numbers
@@ -153,7 +153,7 @@ def checked_pose(what: str, T: ArrayLike) -> Array:
     try:
         out = np.array(T, np.float64)
     except (TypeError, ValueError):
-        raise ConfigError(f"{what} is a {type(T).__name__}; {allowed}") from None
+        raise ConfigError(f"{what} is {a_thing(T)}; {allowed}") from None
     if out.shape != (4, 4):
         raise ConfigError(f"{what} has the shape {out.shape}; {allowed}")
     if not np.isfinite(out).all():

@@ -111,16 +111,16 @@ def test_matrices_that_are_no_poses(T, what):
 @pytest.mark.parametrize(
     ("make", "what"),
     [
-        (lambda: lidarcfg.Mount("a", 3, (0, 0, 1)), "a: a int is no sensor; allowed: a Sensor, its name"),
+        (lambda: lidarcfg.Mount("a", 3, (0, 0, 1)), "a: an int is no sensor; allowed: a Sensor, its name"),
         (lambda: lidarcfg.Mount("a", "vlp-17", (0, 0, 1)), "did you mean vlp-16"),
         (lambda: lidarcfg.Mount("a", "vlp-16", (0, 1)), r"a: position_m is \(0, 1\); allowed: three numbers"),
         (
             lambda: lidarcfg.Mount("a", "vlp-16", (0, 0, 1), return_mode="all"),
             "a: return_mode is 'all'; allowed: strong",
         ),
-        (lambda: lidarcfg.Rig("r", [3]), "rig 'r': a int is no mount"),
+        (lambda: lidarcfg.Rig("r", [3]), "rig 'r': an int is no mount"),
         (lambda: lidarcfg.Rig("r", [*two().mounts, two().mounts[0]]), "two sensors are called 'left'"),
-        (lambda: lidarcfg.Rig("r", two().mounts, vehicle=3), "a int is no vehicle; allowed: a Vehicle"),
+        (lambda: lidarcfg.Rig("r", two().mounts, vehicle=3), "an int is no vehicle; allowed: a Vehicle"),
     ],
 )
 def test_rigs_that_are_none(make, what):
@@ -247,7 +247,7 @@ def test_parts_of_an_export(tmp_path):
         ({"deskew": True}, "deskew is for points"),
         ({"output": "a.mcap", "deskew": True}, "deskew is for ply, npz, pcd"),
         ({"vehicle": "nowhere.yaml"}, "nowhere.yaml: no such file or directory"),
-        ({"vehicle": 3}, "a int is no vehicle"),
+        ({"vehicle": 3}, "an int is no vehicle"),
         ({"vehicle": {"boxs": []}}, "vehicle: boxs: unknown key; did you mean boxes"),
         ({"scene": "nowhere.yaml"}, "nowhere.yaml: no such file or directory"),
         ({"trajectory": "nowhere.tum"}, "nowhere.tum: no such file or directory"),
@@ -285,7 +285,7 @@ def test_exports_that_are_none(tmp_path, monkeypatch, changes, what):
         (lambda: lidarcfg.evaluate(STUDY, two(), tolerance="1%"), "tolerance is '1%'; allowed: a number above 0"),
         (lambda: lidarcfg.optimize(STUDY, evaluations=0), "solver.evaluations: 0 is too small"),
         (lambda: lidarcfg.optimize(STUDY, starts=two()), "rigs are a list of rigs"),
-        (lambda: lidarcfg.load_sensor(3), "a int is no sensor"),
+        (lambda: lidarcfg.load_sensor(3), "an int is no sensor"),
         (lambda: lidarcfg.load_vehicle(np.zeros(3)), "a ndarray is no vehicle"),
         (lambda: lidarcfg.Trajectory.from_poses("ab", np.zeros((2, 4, 4))), "times or poses are no numbers"),
     ],

@@ -76,7 +76,7 @@ def test_a_study_s_vehicle_may_be_a_mesh():
         (lambda: lidarcfg.load_scene({"name": "x"}), "the scene is empty"),
         (
             lambda: lidarcfg.load_scene(SCENE | {"boxes": [{"name": object()}]}),
-            r"scene: boxes\[0\].name: a object is not a text",
+            r"scene: boxes\[0\].name: an object is not a text",
         ),
     ],
 )

@@ -37,12 +37,6 @@ def a_file_of(kind: str) -> str:
     return f"a file of {kind}" if kind in LISTS else f"a {kind}"
 
 
-def a_thing(value: object) -> str:
-    """The class of a value of Python's with its article."""
-    name = type(value).__name__
-    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
-
-
 def kind_of(values: object) -> str | None:
     """The kind of a file with these values; None if no kind fits."""
     if not isinstance(values, Mapping):

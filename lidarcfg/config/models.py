@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, Serializatio
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from lidarcfg.config.document import Document, Key, document, key_text, read_text
-from lidarcfg.config.kinds import OTHERS, a_file_of, a_thing, kind_of
-from lidarcfg.errors import ConfigError, LidarcfgError
+from lidarcfg.config.kinds import OTHERS, a_file_of, kind_of
+from lidarcfg.errors import ConfigError, LidarcfgError, a_thing
 from lidarcfg.files import example
 
 Vec3 = tuple[float, float, float]
@@ -306,7 +306,7 @@ def shown(value: Any) -> str:
     if isinstance(value, dict | tuple):
         return "a map" if isinstance(value, dict) else f"a list of {len(value)}"
     if not isinstance(value, str | int | float | None):
-        return f"a {type(value).__name__}"
+        return a_thing(value)
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, str) and len(value) > SHOWN_MAX:

@@ -15,7 +15,7 @@ from lidarcfg.capture.manifest import DriveInputs, manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.config.models import Given
-from lidarcfg.errors import LidarcfgError
+from lidarcfg.errors import LidarcfgError, a_thing
 from lidarcfg.files import check_replaceable, checked_path, remove_outdated, system_errors
 from lidarcfg.io import formats
 from lidarcfg.io.drive_dataset import DriveDataset
@@ -163,7 +163,7 @@ class _Output:
         if not self.output.name:
             raise LidarcfgError(f"output {str(self.output)!r} names neither a file nor a folder")
         if not (isinstance(duration_s, Real) and 0 < float(duration_s) <= LONGEST_S):
-            shown = f"{duration_s:g}" if isinstance(duration_s, Real) else f"a {type(duration_s).__name__}"
+            shown = f"{duration_s:g}" if isinstance(duration_s, Real) else a_thing(duration_s)
             raise LidarcfgError(f"duration_s is {shown}; allowed: above 0, at most {LONGEST_S}")
         if not (isinstance(start_ns, int) and 0 <= start_ns < TIME_END_NS and start_ns % 1000 == 0):
             raise LidarcfgError(f"start_ns is {start_ns!r}; allowed: whole microseconds, from 0 to below {TIME_END_NS}")

@@ -34,7 +34,7 @@ from lidarcfg.config.models import (
     validation_error,
     with_faults,
 )
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, a_thing
 from lidarcfg.files import checked_path, loaded, replacing, system_errors
 from lidarcfg.geometry import Array, angles, checked_pose, pose
 from lidarcfg.notebook import Shown
@@ -255,7 +255,7 @@ class Rig(Shown):
         mounts = [self.mounts] if isinstance(self.mounts, Mount) else list(self.mounts)
         for mount in mounts:
             if not isinstance(mount, Mount):
-                raise ConfigError(f"{what}: a {type(mount).__name__} is no mount; allowed: a Mount")
+                raise ConfigError(f"{what}: {a_thing(mount)} is no mount; allowed: a Mount")
         names = [mount.name for mount in mounts]
         if twice := [name for i, name in enumerate(names) if name in names[:i]]:
             raise ConfigError(f"{what}: two sensors are called {twice[0]!r}; each name may be given once")
@@ -307,7 +307,7 @@ def _sensor_of(name: str, given: Sensor | str | Path, model: str | None) -> tupl
     if isinstance(given, str | Path):
         given = load_sensor(given)
     if not isinstance(given, Sensor):
-        what = f"{name}: a {type(given).__name__} is no sensor"
+        what = f"{name}: {a_thing(given)} is no sensor"
         raise ConfigError(f"{what}; allowed: a Sensor, its name in the catalogue, the path of its file")
     if model is None and given.path:
         known = catalogue().get(given.name)
@@ -351,9 +351,7 @@ def _section(what: str, given: Any) -> Section | None:
     found = getattr(given, "section", given)
     if found is None or isinstance(found, Section):
         return found
-    raise ConfigError(
-        f"{what}: a {type(given).__name__} is no vehicle; allowed: a Vehicle, a dict with its file's keys"
-    )
+    raise ConfigError(f"{what}: {a_thing(given)} is no vehicle; allowed: a Vehicle, a dict with its file's keys")
 
 
 def _three(what: str, values: Sequence[float]) -> Vec3:
@@ -588,7 +586,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     Raises LidarcfgError, also for a sensor that is in no file.
     """
     if not isinstance(rig, Rig):
-        raise ConfigError(f"a {type(rig).__name__} is no rig; allowed: a Rig, as load_rig makes of a file or a dict")
+        raise ConfigError(f"{a_thing(rig)} is no rig; allowed: a Rig, as load_rig makes of a file or a dict")
     path = checked_path(path, "path")
     check_writable(rig)
     for mount in rig.mounts:

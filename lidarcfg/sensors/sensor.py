@@ -29,7 +29,7 @@ from lidarcfg.config.models import (
     validation_error,
     with_faults,
 )
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, a_thing
 from lidarcfg.files import shipped
 from lidarcfg.geometry import Array, Flags
 from lidarcfg.sensors.realism import MeasuredRealism
@@ -358,7 +358,7 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
     """
     if not isinstance(name, str | Path):
         allowed = "allowed: its name in the catalogue, the path of its file"
-        raise ConfigError(f"a {type(name).__name__} is no sensor; {allowed}")
+        raise ConfigError(f"{a_thing(name)} is no sensor; {allowed}")
     known = catalogue()
     if name in known:
         path = known[str(name)]

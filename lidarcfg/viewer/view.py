@@ -10,7 +10,7 @@ from markupsafe import escape
 
 from lidarcfg.capture.manifest import DriveInputs
 from lidarcfg.clouds.cloud import PointCloud, concatenate
-from lidarcfg.errors import LidarcfgError
+from lidarcfg.errors import LidarcfgError, a_thing
 from lidarcfg.files import checked_path, system_errors
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.study.study import Study
@@ -80,7 +80,7 @@ def view(
     for one in shown:
         if not isinstance(one, str | Path | PointCloud | Rig | Study | Scene):
             allowed = "a file, a PointCloud, a Rig, a Study, a Scene"
-            raise LidarcfgError(f"a {type(one).__name__} is not shown; allowed: {allowed}")
+            raise LidarcfgError(f"{a_thing(one)} is not shown; allowed: {allowed}")
     if not shown:
         raise LidarcfgError("there is nothing to show; give files, a cloud, a rig, a study or a scene")
     if by not in get_args(By):

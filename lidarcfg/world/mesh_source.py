@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import PlainSerializer, PlainValidator, SerializationInfo, WithJsonSchema
 
-from lidarcfg.config.kinds import a_thing
 from lidarcfg.config.models import path_from, shown, validation_error
-from lidarcfg.errors import SceneError
+from lidarcfg.errors import SceneError, a_thing
 from lidarcfg.geometry import Array
 
 KEYS = ("vertices_m", "triangles")
