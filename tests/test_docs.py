@@ -38,7 +38,9 @@ DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
 EXAMPLES = sorted((DOCS / "examples").glob("*.py"))
 # What others' commands are given in the text.
-OTHERS_OPTIONS = {"--long", "--objects", "--help", "--no-deps", "--packets", "--makers", "--nightly", "--sanitize"}
+OTHERS_OPTIONS = {
+    *("--help", "--long", "--makers", "--nightly", "--no-compile", "--no-deps", "--objects", "--packets", "--sanitize")
+}
 COMMANDS = {
     f"{prefix}{name}": command
     for prefix, group in (("", cli), ("sensors ", cli.commands["sensors"]))

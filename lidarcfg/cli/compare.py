@@ -14,7 +14,7 @@ from lidarcfg.cli.progress import progress
     epilog="""
     \b
     Example:
-      lidarcfg compare out/two/rig.yaml data/rigs/roof.yaml \\
+      lidarcfg compare out/sedan/rig.yaml data/rigs/roof.yaml \\
           --study data/studies/sedan.yaml -o out/compared
     """
 )
@@ -31,8 +31,8 @@ def compare(
 ) -> None:
     """Evaluate rigs side by side in one study.
 
-    Compares max VSR, the worst subspaces, detection and coverage, and marks the best of each row. The study's bounds
-    on the poses are not enforced.
+    Compares misses, where the study has a vehicle, then max VSR, the worst subspaces, detection, blind spots and
+    coverage, and marks the best of each row. The study's bounds on the poses are not enforced.
     """
     from lidarcfg.report.comparison import COMPARED, check_count, print_comparison, save_comparison
     from lidarcfg.report.comparison import compare as comparison

@@ -9,9 +9,9 @@ import cloup
 
 from lidarcfg.cli.completion import complete_model
 from lidarcfg.cli.options import FILE, quiet_option, warn
-from lidarcfg.config.models import Vec3
 
 if TYPE_CHECKING:
+    from lidarcfg.config.models import Vec3
     from lidarcfg.simulate.scene_drive import SceneDrive
 
 ORIGIN_MAX_M = 1.0  # of a sensor's beams, from the base of its housing
@@ -21,10 +21,10 @@ ORIGIN_MAX_M = 1.0  # of a sensor's beams, from the base of its housing
     epilog="""
     \b
     Examples:
-      lidarcfg convert out/two/rig.yaml -o out/two.urdf
-      lidarcfg convert out/two.urdf -o out/again.yaml
-      lidarcfg convert out/two.ply -o out/two.laz
-      lidarcfg convert out/two.pcap --rig out/two/rig.yaml -o out/two.mcap
+      lidarcfg convert out/sedan/rig.yaml -o out/sedan.urdf
+      lidarcfg convert out/sedan.urdf -o out/again.yaml
+      lidarcfg convert out/sedan.ply -o out/sedan.laz
+      lidarcfg convert out/sedan.pcap --rig out/sedan/rig.yaml -o out/sedan.mcap
     """
 )
 @cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a kit, a bag, a cloud or a capture.")
@@ -164,7 +164,7 @@ def _by_name(models: tuple[str, ...]) -> dict[str, str]:
     return found
 
 
-def _origins_m(origins: tuple[str, ...]) -> dict[str, Vec3]:
+def _origins_m(origins: tuple[str, ...]) -> "dict[str, Vec3]":
     """Where beams start, by the name of the frame; that without a name, under the empty one, is for all others."""
     found: dict[str, Vec3] = {}
     for text in origins:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     epilog="""
     \b
     Example:
-      lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply
+      lidarcfg decode out/sedan.pcap --rig out/sedan/rig.yaml -o out/sedan.ply
     """
 )
 @cloup.argument("pcap", type=FILE, help="A capture, simulated or recorded; or a bag of packets.")

@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     epilog="""
     \b
     Example:
-      lidarcfg export out/two/rig.yaml --scene data/scenes/street.yaml \\
-          --at=-30,-10,0 --duration 1 -o out/two.pcap
+      lidarcfg export out/sedan/rig.yaml --scene data/scenes/street.yaml \\
+          --at=0,-1.8,0 --duration 1 -o out/sedan.pcap
     """
 )
 @cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
@@ -211,7 +211,7 @@ def _run(duration_ns: int, size: "Size", rays: RayTally, quiet: bool) -> "Iterat
         def on_progress(done_ns: int) -> None:
             rate = done_ns / SECOND_NS / max(time.perf_counter() - began, 1e-9)
             done_s = done_ns / SECOND_NS
-            said = f"{done_s:.1f} s simulated, {rate:.1f}× real time; {size(done_ns / duration_ns)} in all"
+            said = f"{done_s:.1f} s simulated, {rate:.2g}× real time; {size(done_ns / duration_ns)} in all"
             on_fraction(done_ns / duration_ns, said)
 
         on_fraction(0.0, f"simulating {duration_ns / SECOND_NS:g} s; {size(0.0)} in all")

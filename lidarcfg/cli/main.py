@@ -141,12 +141,12 @@ def _command_path(error: click.ClickException) -> str:
     epilog="""
     \b
     From a study to a picture:
-      lidarcfg optimize data/studies/liu2018-2x16.yaml -o out/two
-      lidarcfg evaluate data/studies/liu2018-2x16.yaml out/two/rig.yaml
-      lidarcfg export out/two/rig.yaml --scene data/scenes/street.yaml \\
-          --at=-30,-10,0 --duration 1 -o out/two.pcap
-      lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply
-      lidarcfg view out/two.ply out/two/rig.yaml --png out/two.png
+      lidarcfg optimize data/studies/sedan.yaml -o out/sedan --seconds 30
+      lidarcfg evaluate data/studies/sedan.yaml out/sedan/rig.yaml
+      lidarcfg export out/sedan/rig.yaml --scene data/scenes/street.yaml \\
+          --at=0,-1.8,0 --duration 1 -o out/sedan.pcap
+      lidarcfg decode out/sedan.pcap --rig out/sedan/rig.yaml -o out/sedan.ply
+      lidarcfg view out/sedan.ply out/sedan/rig.yaml --png out/sedan.png
 
     The files under data/ come with the package. `lidarcfg COMMAND --help` explains a command and shows an example;
     docs/ has a page for each task.

@@ -134,7 +134,7 @@ class Method(click.Choice):  # type: ignore[type-arg]  # the oldest click's is n
     epilog="""
     \b
     Example:
-      lidarcfg optimize data/studies/liu2018-4x16.yaml -o out/four \\
+      lidarcfg optimize data/studies/sedan.yaml -o out/sedan \\
           --seed 3 --seconds 60
     """
 )

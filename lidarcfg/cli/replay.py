@@ -56,8 +56,8 @@ def _emulated(
     epilog="""
     \b
     Examples:
-      lidarcfg replay out/two.pcap 127.0.0.1:2368
-      lidarcfg replay out/two.pcap 127.0.0.1 --speed 2x --from 0.02 --to 0.08
+      lidarcfg replay out/sedan.pcap 127.0.0.1:2368
+      lidarcfg replay out/sedan.pcap 127.0.0.1 --speed 2x --from 0.02 --to 0.08
     """
 )
 @cloup.argument("pcap", type=FILE, help="A capture.")

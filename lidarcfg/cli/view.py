@@ -60,8 +60,8 @@ def camera_numbers(text: str) -> tuple[float, ...]:
     epilog="""
     \b
     Examples:
-      lidarcfg view out/two.pcap out/two/rig.yaml data/studies/liu2018-2x16.yaml
-      lidarcfg view out/two.pcap --rig out/two/rig.yaml --png out/two.png
+      lidarcfg view out/sedan.pcap out/sedan/rig.yaml data/studies/sedan.yaml
+      lidarcfg view out/sedan.pcap --rig out/sedan/rig.yaml --png out/sedan.png
     """
 )
 @cloup.argument(

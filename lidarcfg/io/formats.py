@@ -171,13 +171,14 @@ def convert(
 
 @dataclass(frozen=True)
 class Amount:
-    """How much was written, such as 1,234 points."""
+    """How much was written, such as 1,234 points; `what` is the plural."""
 
     count: int
     what: str
 
     def __str__(self) -> str:
-        return f"{self.count:,} {self.what}"
+        what = self.what.removesuffix("s") if self.count == 1 else self.what
+        return f"{self.count:,} {what}"
 
 
 def save_self_filter(source: Path, output: Path, name: str, vehicle: Path | None, on_warning: OnWarning) -> str:
@@ -192,7 +193,7 @@ def save_self_filter(source: Path, output: Path, name: str, vehicle: Path | None
     text = crop_box(bodies) if name == "crop-box" else azimuth_windows(rig, bodies, on_warning)
     with replacing(output) as file:
         file.write(text)
-    return "1 box" if name == "crop-box" else f"{len(rig.mounts):,} sensors"
+    return "1 box" if name == "crop-box" else str(Amount(len(rig.mounts), "sensors"))
 
 
 def import_rig(
@@ -220,7 +221,7 @@ def import_rig(
         except ConfigError as error:
             on_warning(f"{source}: {error}")
     save_rig(rig, output)
-    return f"{len(rig.mounts):,} sensors{' and a body' if body else ''}"
+    return f"{Amount(len(rig.mounts), 'sensors')}{' and a body' if body else ''}"
 
 
 def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bool, on_warning: OnWarning) -> Amount:
@@ -272,7 +273,7 @@ def _convert_rig(source: Path, output: Path, name: str, on_warning: OnWarning) -
         text = {"urdf": urdf, "launch": launch, "carla": carla}[name](rig, on_warning)
         with replacing(output) as file:
             file.write(text)
-    return f"{len(rig.mounts):,} sensors"
+    return str(Amount(len(rig.mounts), "sensors"))
 
 
 def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:

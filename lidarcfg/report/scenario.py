@@ -84,8 +84,8 @@ def _draw_case(axes: "Axes", found: ScenarioResult, case: ScenarioCase) -> None:
     left_s = max(2 * worst.needed_s, worst.needed_s + worst.margin_s, worst.needed_s + (case.sight_margin_s or 0.0))
     axes.set_xlim(min(1.1 * left_s, 1.02 * case.runs[0].approach.lead_s), 0.0)  # the first run is the longest
     margin_m = worst.approach.closing_m_s * worst.margin_s
-    where = f", hit at {case.impact:.0%}" if len(found.scenario.file.impacts) > 1 else ""
-    axes.set_title(f"{case.speed_km_h:g} km/h{where}: {worst.margin_s:+.2f} s, {margin_m:+.1f} m", fontsize=9)
+    where = f", hit at {case.impact:.0%}\n" if len(found.scenario.file.impacts) > 1 else ": "  # too long for one line
+    axes.set_title(f"{case.speed_km_h:g} km/h{where}{worst.margin_s:+.2f} s, {margin_m:+.1f} m", fontsize=9)
     axes.grid(alpha=0.3)
 
 

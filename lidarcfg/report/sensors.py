@@ -21,12 +21,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offset_ns", "source"}
+LIST_WIDTH = 240  # where there is no terminal: the longest description fits
 NUMBERED = 40  # lasers, up to which their numbers stand beside the marks
 DRAWN = 200_000  # firings of a scan pattern, at most
 
 
 def print_sensors(sensors: Sequence[Sensor]) -> None:
-    """Print one line per model."""
+    """Print a row for each model, in one line where there is no terminal, so that `grep` finds whole rows."""
     names = ("name", "beams", "elevation (°)", "range (m)", "exported", "description")
     rows = [
         [
@@ -39,7 +40,7 @@ def print_sensors(sensors: Sequence[Sensor]) -> None:
         ]
         for sensor in sensors
     ]
-    print_table(Table("Sensor models", [Column(name) for name in names], rows))
+    print_table(Table("Sensor models", [Column(name) for name in names], rows), width=LIST_WIDTH)
 
 
 def _span(ends: tuple[float, float]) -> str:

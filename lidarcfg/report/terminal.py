@@ -27,16 +27,16 @@ class Terminal(Console):
         return super().render_str(one_line(text), **options)
 
 
-def terminal() -> Console:
-    """Standard output, as wide as the terminal, or as the tables need where there is none."""
-    return Terminal(width=None if sys.stdout.isatty() else WIDTH, highlight=False, markup=False, emoji=False)
+def terminal(width: int = WIDTH) -> Console:
+    """Standard output, as wide as the terminal, or of this width where there is none."""
+    return Terminal(width=None if sys.stdout.isatty() else width, highlight=False, markup=False, emoji=False)
 
 
-def print_table(table: Table, title: str | None = None) -> None:
+def print_table(table: Table, title: str | None = None, width: int = WIDTH) -> None:
     """Print a table; a star is behind what is best of its row. Columns that do not fit stand in tables below."""
     cells = table.cells
     stars = any(cell.mark == "best" for row in cells for cell in row)
-    console = terminal()
+    console = terminal(width)
     for part in table.parts(_fitting(table, console.width)) if stars else [table]:
         _print_part(console, part, title, stars)
     if stars:

@@ -41,8 +41,11 @@ def verdict_table(found: Verdict, against: Verdict | None = None) -> Table:
         ]
         for n, one in enumerate(found.requirements)
     ]
-    caption = "Phases are quarters of the step between two firings, by sensor, where the fewest beams return"
-    return Table(caption, columns, rows)
+    phased = any(one.phases for one in found.requirements)
+    steps = "Phases are quarters of the step between two firings, by sensor, where the fewest beams return"
+    table = Table(steps if phased else "Each requirement, in its worst place", columns, rows)
+    texts = zip(*table.texts, strict=True)
+    return table.without(*(column.name for column, cells in zip(columns, texts, strict=True) if not any(cells)))
 
 
 def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
@@ -164,7 +167,7 @@ def signed(value: float, unit: str) -> str:
     """A margin with its sign and unit."""
     if not math.isfinite(value):
         return "–"
-    return ("+" if value > -ROUNDING else "−") + quantity(abs(value), unit)
+    return ("+" if value > -ROUNDING else "-") + quantity(abs(value), unit)
 
 
 def verdict_text(one: RequirementVerdict) -> str:

@@ -18,6 +18,7 @@ import pytest
 from lidarcfg import __version__
 from lidarcfg.cli import progress as module
 from lidarcfg.cli.progress import Interrupts, progress
+from lidarcfg.sensors.sensor import catalogue, load_sensor
 from tests.command_line import lidarcfg, started
 
 ROOT = Path(__file__).parents[2]
@@ -147,6 +148,9 @@ def test_quiet_commands_print_nothing(out, tmp_path):
 def test_the_catalogue():
     assert "vlp-16" in run("sensors").stdout
     assert run("sensors", "list").stdout == run("sensors").stdout
+    rows = run("sensors", "list").stdout.splitlines()[3:-1]  # between the head and an empty line
+    assert [row.split()[0] for row in rows] == list(catalogue())  # each model in one line, whole
+    assert all(row.rstrip().endswith(load_sensor(row.split()[0]).description) for row in rows)
     shown = run("sensors", "show", "vlp-16").stdout
     assert "34560" in shown
     assert "63-9243" in shown

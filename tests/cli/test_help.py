@@ -68,7 +68,7 @@ def test_a_broken_example_is_one_command_to_a_shell(columns):
         ["bash", "-c", example.replace("lidarcfg", "echo", 1)], capture_output=True, text=True, check=True
     )
     assert said.stdout == (
-        "export out/two/rig.yaml --scene data/scenes/street.yaml --at=-30,-10,0 --duration 1 -o out/two.pcap\n"
+        "export out/sedan/rig.yaml --scene data/scenes/street.yaml --at=0,-1.8,0 --duration 1 -o out/sedan.pcap\n"
     )
 
 

@@ -108,6 +108,27 @@ def test_a_urdf_becomes_a_rig(here):
     assert len(said) == 4
 
 
+def test_a_model_that_no_frame_takes_is_told(here):
+    Path("kit.urdf").write_text(KIT)
+    rig, said = converted("kit.urdf", "--model", "rear/os_sensor=os1-64", "--model", "hdl-32e")
+    assert [mount.model for mount in rig.mounts if mount.name == "top_laser"] == ["vlp-16"]
+    assert any("--model hdl-32e is not used: " in line and line.endswith("=hdl-32e") for line in said)
+    rig, said = converted("kit.urdf", "--model", "hdl-32e")
+    assert {mount.model for mount in rig.mounts} == {"hdl-32e", "vlp-16"}
+    assert not any("is not used" in line for line in said)
+    Path("rig.yaml").unlink()
+    assert "no sensor is called 'hdl-99'" in mistake(
+        "kit.urdf", "--model", "rear/os_sensor=os1-64", "--model", "hdl-99"
+    )
+
+
+def test_frames_of_unknown_model_are_left_out_at_once(here):
+    Path("kit.urdf").write_text(KIT)
+    rig, said = converted("kit.urdf", "--model", "none")
+    assert [(mount.name, mount.model) for mount in rig.mounts] == [("top_laser", "vlp-16")]
+    assert said[-1].endswith("left out: camera_front, rear/os_imu, rear/os_sensor")
+
+
 def test_a_gazebo_ray_sensor_is_a_lidar(here):
     link = '<link name="base_link"/><link name="mast_3"/>'
     joint = '<joint name="j" type="fixed"><parent link="base_link"/><child link="mast_3"/></joint>'

@@ -309,7 +309,7 @@ def test_an_evaluation_begins_with_the_verdict(files, blank_pictures):
 
 
 def test_a_verdicts_table_has_a_column_of_losses_only_if_there_are_any():
-    held = RequirementVerdict("a", "object", True, "returns", 1, 2, False, 0.0, breaking=("left",))
+    held = RequirementVerdict("a", "object", True, "returns", 1, 2, False, 0.0, phases=(0, 3), breaking=("left",))
     assert verdict_table(Verdict((held,))).columns[-1].head == "phases there"
     both = verdict_table(Verdict((held, replace(held, passed=False, lost=("left", "right")))))
     assert both.columns[-1].head == "sensors lost there"

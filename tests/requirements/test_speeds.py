@@ -11,7 +11,7 @@ import pytest
 from lidarcfg.report.junit import junit
 from lidarcfg.report.results import to_json
 from lidarcfg.report.scenario import draw_scenario
-from lidarcfg.report.verdict import remarks, speeds_table, verdict_dict
+from lidarcfg.report.verdict import remarks, speeds_table, verdict_dict, verdict_table
 from lidarcfg.requirements.scenarios.approach import EMERGENCY, Approach, VehicleExtent
 from lidarcfg.requirements.scenarios.file import load_scenario
 from lidarcfg.requirements.scenarios.requirement import by_speed
@@ -182,6 +182,19 @@ def test_no_speed_is_cut_off_the_picture():
     assert figure.axes[5].get_xlim()[0] > LEAD_S  # in sight from the start
 
 
+@pytest.mark.slow
+def test_titles_that_say_where_it_is_hit_do_not_touch():
+    """Of three impacts at two speeds, one of them of three figures: by the extents of what is drawn."""
+    cases = [case(speed, lambda n: n >= 25, impact) for speed in (60.0, 110.0) for impact in (0.25, 0.5, 0.75)]
+    figure = draw_scenario(replace(result_of(*cases), scenario=load_scenario("cpna")))
+    figure.canvas.draw()
+    titles = [axes.title.get_window_extent() for axes in figure.axes]
+    assert ["hit at" in axes.get_title() for axes in figure.axes] == [True] * 6
+    for n, box in enumerate(titles):
+        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+        assert not any(box.overlaps(other) for other in titles[:n])
+
+
 def verdict_of(speeds: SpeedVerdicts, name="child <ahead>") -> Verdict:
     return Verdict(
         (RequirementVerdict(name, "scenario", not speeds.failed, "s", 0.0, -1.0, False, 1.0, speeds=speeds),)
@@ -220,6 +233,14 @@ def test_terminal_page_json_and_junit_say_the_same():
     assert cases[2].find("failure").get("message") == (
         "never seen: at most 7 of 10 returns, 6.8 m needed, margin -6.8 m, -0.82 s"
     )
+
+
+def test_a_table_of_scenarios_has_no_empty_columns():
+    """It has neither phases nor distances from the body; minus signs are alike."""
+    table = verdict_table(verdict_of(found_at((10,), (30,))))
+    assert [column.name for column in table.columns] == ["requirement", "verdict", "demanded", "reached", "margin"]
+    assert table.texts == [["child <ahead>", "FAIL", "≥ 0.00 s", "-1.00 s", "-1.00 s"]]
+    assert "hases" not in table.caption
 
 
 def test_beside_another_rig():

@@ -117,21 +117,24 @@ def rig_of_kit(
                 raise ConversionError(f"{kit.where}: {option} {name}: {_unknown(name, known)}")
     told = list(kit.notes)
     guesses: list[str] = []
+    rest = models.get("")
+    rest_is_used = False
     unknown: list[str] = []
     housings: list[str] = []
     mounts: list[Mount] = []
     names: dict[str, str] = {}
     left_out = list(kit.others)
     for frame in kit.frames:
-        given = models.get(frame.name)
-        if given == LEAVE_OUT:
+        model = models.get(frame.name) or frame.model
+        if not model and not frame.elevation_deg:
+            model = guessed_model(frame.name, *frame.hints)
+            if model:
+                guesses.append(f"{frame.name} as {model}")
+            else:
+                model, rest_is_used = rest, True
+        if model == LEAVE_OUT:
             left_out.append(frame.name)
             continue
-        model = given or frame.model
-        if not model and not frame.elevation_deg:
-            model = guessed_model(frame.name, *frame.hints) or models.get("")
-            if model and model != models.get(""):
-                guesses.append(f"{frame.name} as {model}")
         if not model and not frame.elevation_deg:
             unknown.append(frame.name)
             continue
@@ -152,6 +155,11 @@ def rig_of_kit(
         raise ConversionError(f"{kit.where}: has no LiDAR by its frames' names; --model NAME=MODEL says which; {found}")
     if guesses:
         told.append(f"taken by name: {', '.join(guesses)}; --model NAME=MODEL says otherwise")
+    if rest and not rest_is_used:
+        if rest != LEAVE_OUT:
+            load_sensor(rest)  # whether there is one
+        one = kit.frames[0].name
+        told.append(f"--model {rest} is not used: it is for frames of unknown model; say --model {one}={rest}")
     if housings:
         what = "by the name the base of the housing; its beams start above that: --origin NAME=X,Y,Z says where"
         told.append(f"{', '.join(housings)}: {what}")
