@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,16 +11,21 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 
 from lidarcfg.config.document import inline
+from lidarcfg.config.kinds import YAML_SUFFIXES
 from lidarcfg.config.models import Section, Vec3
 from lidarcfg.errors import ConfigError, ConversionError, SceneError
 from lidarcfg.files import example, replacing, shipped
 from lidarcfg.sensors.rig import Rig, save_rig
+from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.world.robot import SUFFIXES as ROBOTS
 
 KINDS = ("study", "rig", "scene", "sensor")
+MODEL = "vlp-16"
 CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle without a mesh
 SUNK_M = 0.05  # how far a body on the ground may be below it, by its mesh
 AS_IS: Vec3 = (0.0, 0.0, 0.0)
+SIDE_M = 0.1, 50.0  # of a box
+BOX = re.compile(r"\d+\.?\d*(x\d+\.?\d*)+")  # length, width and height in metres
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,7 @@ class TemplateBody:
     keys: tuple[str, ...] = ()  # that bring it into the vehicle frame
     looks: tuple[str, ...] = ()  # what is said of them
     files: tuple[Path, ...] = ()  # that its file needs
+    size_m: tuple[float, ...] = ()  # of a box
 
 
 def vehicles() -> dict[str, Path]:
@@ -41,19 +48,32 @@ def vehicles() -> dict[str, Path]:
 
 
 def write_template(
-    kind: str, path: Path, vehicle: str | None = None, on_warning: Callable[[str], None] = lambda _: None
+    kind: str,
+    path: Path,
+    vehicle: str | None = None,
+    on_warning: Callable[[str], None] = lambda _: None,
+    model: str = MODEL,
 ) -> list[Path]:
     """Write one of the `KINDS` of files to start from. Returns what was written.
 
-    A study is made around a vehicle: one of `vehicles`, whose files are copied beside the study, a mesh file, or a
-    robot in a URDF, whose sensors become a rig beside it. `on_warning` gets what was left out. Raises ConfigError if a
-    file exists already, or if the vehicle is unknown or cannot be read.
+    A study is made around a vehicle: one of `vehicles`, whose files are copied beside the study, a mesh file, a robot
+    in a URDF, whose sensors become a rig beside it, or a box on the ground, as 0.8x0.6x0.4. Its sensors are of a
+    `model`. `on_warning` gets what was left out. Raises ConfigError if a file exists already, or if the vehicle or the
+    model is unknown or cannot be read.
     """
+    sensor = load_sensor(model)
+    if vehicle and not sensor.fires:
+        raise ConfigError(
+            f"model {model}: it is not known how it fires, so that returns cannot be counted; allowed: another"
+        )
+    own_model = Path(model).suffix in YAML_SUFFIXES
     known = vehicles()
-    file = None if vehicle is None else known.get(vehicle, Path(vehicle))
+    box = _box(vehicle) if vehicle else None
+    file = None if vehicle is None or box else known.get(vehicle, Path(vehicle))
     if file and vehicle not in known and not file.suffix:
-        raise ConfigError(f"no vehicle is called {vehicle!r}; allowed: {', '.join(known)}, a mesh file or a URDF")
-    body = _body(file) if file else TemplateBody(*CAR, closed=True)
+        allowed = f"{', '.join(known)}, a mesh file, a URDF, or length, width and height in metres, as 0.8x0.6x0.4"
+        raise ConfigError(f"no vehicle is called {vehicle!r}; allowed: {allowed}")
+    body = _body(file) if file else box or TemplateBody(*CAR, closed=True)
     copied = {path.parent / one.name: one for one in (file, *body.files)} if file and vehicle in known else {}
     named = path.parent / file.name if copied and file else file
     rig = _rig(file, named, on_warning) if file and named and file.suffix.lower() in ROBOTS else None
@@ -63,6 +83,9 @@ def write_template(
     )
     text = template.render(
         file=path,
+        model=inline(os.path.relpath(model, path.parent) if own_model else model),
+        has_cones=sensor.scan_pattern is None,
+        size=list(body.size_m),
         body=named and inline(os.path.relpath(named, path.parent)),
         body_keys="".join(f", {key}" for key in body.keys),
         closed=body.closed,
@@ -120,6 +143,19 @@ def write_simplified(
 def _check_new(path: Path) -> None:
     if path.exists():
         raise ConfigError(f"{path}: exists already; name another file, or remove it")
+
+
+def _box(size: str) -> TemplateBody | None:
+    """A box on the ground, whose length, width and height are given; None if they are not. Raises ConfigError."""
+    if not BOX.fullmatch(size):
+        return None
+    sides_m = tuple(map(float, size.split("x")))
+    if len(sides_m) != 3 or not all(SIDE_M[0] <= side_m <= SIDE_M[1] for side_m in sides_m):
+        allowed = f"length, width and height, {SIDE_M[0]:g} to {SIDE_M[1]:g} m each, as 0.8x0.6x0.4"
+        raise ConfigError(f"vehicle {size}: no box; allowed: {allowed}")
+    length, width, height = sides_m
+    low_m, high_m = (-length / 2, -width / 2, 0.0), (length / 2, width / 2, height)
+    return TemplateBody(low_m, high_m, closed=True, size_m=sides_m)
 
 
 def _body(file: Path) -> TemplateBody:

@@ -147,6 +147,35 @@ def test_a_study_begins_with_a_vehicle_and_can_be_searched(tmp_path, name):
     assert np.array_equal(load_study(own).space.upper, loaded.space.upper)
 
 
+@pytest.mark.parametrize("model", ["vlp-16", "mid-360", "airy"])
+def test_a_study_begins_with_a_box_and_a_model(tmp_path, model):
+    """A robot of 0.8 m by 0.6 m by 0.4 m has a volume of 0.192 m³, on the ground; what is optional is valid, too."""
+    (path,) = write_template("study", tmp_path / "study.yaml", "0.8x0.6x0.4", model=model)
+    study = load_study(path)
+    corners_m = study.vehicle.scene.vertices_m
+    assert np.ptp(corners_m, axis=0).prod() == pytest.approx(0.192)
+    assert corners_m.min(axis=0).tolist() == pytest.approx([-0.4, -0.3, 0])
+    assert {slot.model for slot in study.slots} == {model}
+    assert list(study_warnings(path, study)) == []
+    (tmp_path / "scene.yaml").write_text("name: wall\nground: {reflectivity: 10}\n")
+    path.write_text(re.sub(r"^#(?=\s*(- \{?)?[a-z])", "", path.read_text(), flags=re.M))
+    assert len(load_study(path).requirements.items) > len(study.requirements.items)
+
+
+def test_models_of_ones_own_and_what_is_no_box(tmp_path):
+    (sensor,) = write_template("sensor", tmp_path / "mine.yaml")
+    (path,) = write_template("study", tmp_path / "deep/study.yaml", "12x2.5x3", model=str(sensor))
+    assert load_study(path).slots[0].sensor.name == "my_sensor"
+    for box in ("0.8x0.6", "8x6x4x2", "800x600x400", "8x2x0"):
+        with pytest.raises(ConfigError, match="no box; allowed: length, width and height"):
+            write_template("study", tmp_path / "none.yaml", box)
+    with pytest.raises(ConfigError, match="did you mean mid-360"):
+        write_template("study", tmp_path / "none.yaml", model="mid360")
+    with pytest.raises(ConfigError, match="not known how it fires"):
+        write_template("study", tmp_path / "none.yaml", "truck", model="fan-4")
+    assert not (tmp_path / "none.yaml").exists()
+
+
 def test_a_study_begins_with_a_robot_and_its_rig(tmp_path):
     """Its ground is where its wheels are, 0.1 m below base_link; its own LiDARs are a rig on the same body."""
     written = write_template("study", tmp_path / "my.yaml", "delivery-robot", (said := []).append)
@@ -200,7 +229,7 @@ def test_a_template_replaces_nothing(tmp_path):
     assert not (tmp_path / "other.yaml").exists()
     with pytest.raises(
         ConfigError,
-        match=r"no vehicle is called 'truk'; allowed: bus, delivery-robot, sedan, shuttle, truck, a mesh file or a URDF",
+        match=r"no vehicle is called 'truk'; allowed: bus, delivery-robot, sedan, shuttle, truck, a mesh file, a URDF, or length",
     ):
         write_template("study", tmp_path / "other.yaml", "truk")
     with pytest.raises(ConfigError, match=r"gone.ply: no such file"):
