@@ -19,6 +19,7 @@ from lidarcfg.world.scene import Scene, load_scene
 from tests.packets.velodyne.shaped import facts, with_facts
 
 STREET = Path(__file__).parents[1] / "data" / "scenes" / "street.yaml"
+ROOM = STREET.with_name("room.yaml")  # where nothing moves
 AT_NS = 1_700_000_000_123_456_789
 PLY = """ply
 format ascii 1.0
@@ -30,6 +31,12 @@ element face {m}
 property list uchar int vertex_indices
 end_header
 """
+
+
+def standing_street() -> Scene:
+    """The street with everything where it is at time 0."""
+    street = load_scene(STREET)
+    return replace(street, motions=(None,) * len(street.names))
 
 
 def mount(index: int = 0, position_m=(0.0, 0.0, 2.0), rpy_deg=(0.0, 0.0, 0.0), rpm: float = 600.0) -> Mount:

@@ -143,8 +143,12 @@ def test_commands_refuse_what_memory_does_not_hold(tmp_path, monkeypatch, words,
 @pytest.mark.parametrize(
     ("text", "kind", "what"),
     [
-        ("name: r\nsensors:\n" + "  - {name: a, model: vlp-16, position_m: [0, 0, 1]}\n" * 1001, RigFile, "1001.*1000"),
-        (f"elevation_deg: {list(range(10_001))}\n", Beams, "10001 values; allowed: at most 10000"),
+        (
+            "name: r\nsensors:\n" + "  - {name: a, model: vlp-16, position_m: [0, 0, 1]}\n" * 1001,
+            RigFile,
+            "1,001 values.*1000",
+        ),
+        (f"elevation_deg: {list(range(10_001))}\n", Beams, "10,001 values; allowed: at most 10000"),
     ],
 )
 def test_longer_than_any_sensor_or_rig(tmp_path, text, kind, what):

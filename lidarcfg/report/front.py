@@ -101,7 +101,7 @@ def _shown_points(study: Study, found: Front) -> Table:
     every = points_table(study, found)
     if not all(point.placement.evaluation.misses for point in found.points):
         return every.without("name", "misses")
-    paper = [column.name for column in every.columns if column.key == "max_vsr_m" or column.keys[0] == "detection"]
+    paper = [column.name for column in every.columns if column.keys[0] in ("max_vsr_m", "detection")]
     return every.without("name", *paper, *["objective"] * study.is_misses)
 
 

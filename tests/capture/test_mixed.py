@@ -24,7 +24,7 @@ from lidarcfg.sensors.rig import load_rig
 from lidarcfg.units import START_NS
 from lidarcfg.world.motion import Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import STREET, datagrams_of, no_warning
+from tests.capture_fixtures import STREET, datagrams_of, no_warning, standing_street
 from tests.command_line import lidarcfg
 from tests.refusals import refused
 
@@ -42,17 +42,13 @@ DRIVEN = Trajectory(
 )
 
 
-def standing():
-    """The street with everything where it is at time 0."""
-    street = load_scene(STREET)
-    return replace(street, motions=(None,) * len(street.names))
-
-
 def sent(folder, rig, at=None):
     """A capture in the street with what readers need beside it, and the ground truth."""
     path = folder / "mixed.pcap"
     truth = []
-    streams = simulated_packets(rig, standing(), np.eye(4) if at is None else at, DURATION_NS, on_truth=truth.append)
+    streams = simulated_packets(
+        rig, standing_street(), np.eye(4) if at is None else at, DURATION_NS, on_truth=truth.append
+    )
     write_pcap(path, in_time_order(streams))
     save_sidecar_files(path, rig.mounts)
     return path, np.concatenate(truth)
@@ -163,7 +159,7 @@ def surface(stage):
 def test_merged_points_lie_on_the_street(rig, still):
     """Whatever the maker's frame and offsets: half a step along the beam, and 5 mm for azimuths in hundredths."""
     cloud = decoded(still[0], rig)
-    off_m = surface(standing())(cloud.xyz[::4])
+    off_m = surface(standing_street())(cloud.xyz[::4])
     for index, mount in enumerate(rig.mounts):
         some = cloud.sensor[::4] == index
         assert off_m[some].max() < mount.sensor.range.resolution_m / 2 + 0.005
@@ -173,7 +169,7 @@ def test_merged_points_lie_on_the_street(rig, still):
 def test_deskewed_points_lie_on_the_street(rig, driven):
     """While the vehicle drives 1.2 m: each point belongs where the vehicle was when its laser fired."""
     cloud = decoded(driven[0], rig)
-    distance = surface(standing())
+    distance = surface(standing_street())
     at_start = transform(DRIVEN.T_world_start, cloud.xyz)
     world = DRIVEN.world(cloud.xyz, cloud.time_ns)
     for index in range(len(rig.mounts)):

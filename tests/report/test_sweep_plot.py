@@ -22,7 +22,7 @@ def drawn(tmp_path):
     """The axes of a plan's plot, or nothing."""
 
     def draw(vary, costs):
-        (tmp_path / "plan.yaml").write_text(STUDY + vary)
+        (tmp_path / "plan.yaml").write_text(f"{STUDY}  objective: {{max_vsr: 1}}\n{vary}")
         plan = load_plan(tmp_path / "plan.yaml")
         figure = draw_sweep(plan, costs(plan.runs), is_max_vsr=True)
         return figure and figure.axes[0]

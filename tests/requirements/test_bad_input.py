@@ -162,11 +162,11 @@ def test_heights_and_radians_are_warned_of(tmp_path):
     assert said in lidarcfg("verify", path, rig(tmp_path)).stderr
     path = study(tmp_path, "sensors_at_most: 2")
     assert (
-        "sensors[0].position_m[2]: right is 0.2 m below the ground"
+        "sensors[0].position_m[2]: left is 0.2 m below the ground"
         in lidarcfg("verify", path, rig(tmp_path, "-0.2")).stderr
     )
     assert "rig.yaml:3:" in (said := lidarcfg("verify", path, rig(tmp_path, "50")).stderr)
-    assert "right is 49 m from the vehicle's body" in said
+    assert "left is 49 m from the vehicle's body" in said
 
 
 def test_a_file_of_requirements(tmp_path):

@@ -60,7 +60,7 @@ def test_verify_judges_by_it(toy, files, tmp_path, least_m, said):
     words = "verify", files(f"apart_at_least_m: {least_m}"), tmp_path / "rig.yaml", "-o", tmp_path / "out"
     done = lidarcfg(*words, code=0 if said == "PASS" else 3)
     (row,) = (line for line in done.stdout.splitlines() if "cables" in line)
-    margin = f"{'+' if said == 'PASS' else '−'}{abs(0.5 - least_m):.2f} m"
+    margin = f"{'+' if said == 'PASS' else '-'}{abs(0.5 - least_m):.2f} m"
     assert re.split(r"\s{2,}", row.strip())[:5] == ["cables", said, f"≥ {least_m:.2f} m", "0.50 m", margin]
     one = json.loads((tmp_path / "out/verdict.json").read_text())["requirements"][0]
     assert (one["kind"], one["pass"], one["worst"]) == ("apart_at_least_m", said == "PASS", {"x_m": 0.15, "y_m": 0.2})

@@ -20,6 +20,7 @@ sensors:
   - {name: b, elevation_deg: [-9, 0, 9], min: {position_m: [-1, 0, 1.2], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 0, 1.2], rpy_deg: [0, 0, 0]}}
 solver: {method: abc, evaluations: 30, limit: 7}
 detection: [{name: box, size_m: [1, 1, 1]}]
+objective: {max_vsr: 1}
 """
 
 

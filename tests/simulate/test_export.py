@@ -28,10 +28,8 @@ from lidarcfg.simulate.scene_drive import SceneDrive
 from lidarcfg.simulate.sensor_runs import SimulationOptions
 from lidarcfg.units import SECOND_NS, START_NS, TIME_END_NS
 from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
-from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import (
-    STREET,
     alone,
     datagrams_of,
     decoded,
@@ -39,6 +37,7 @@ from tests.capture_fixtures import (
     no_warning,
     recording,
     scene,
+    standing_street,
     tilted_rig,
     write_datagrams,
 )
@@ -52,7 +51,7 @@ T_WORLD_VEHICLE = pose((1.0, -0.5, 0.0), (0.0, 0.0, 0.2))
 
 @pytest.fixture(scope="module")
 def street():
-    return load_scene(STREET)
+    return standing_street()
 
 
 @pytest.fixture(scope="module")

@@ -26,6 +26,8 @@ sensors:
 objective: {misses: {objects: {child: 1, tyre: 3}, within_m: [0.2, 5]}}
 """
 
+CELL_M = 0.25  # of a square around so small a body
+
 
 @pytest.fixture
 def missing(tmp_path):
@@ -58,15 +60,15 @@ def test_the_server_answers_as_the_measure_does(missing):
     weight, missed = {}, {}
     for one, part in zip(want.objects, (1, 3), strict=True):
         for (x, y, *_), p in zip(one.places.tolist(), one.probability.tolist(), strict=True):
-            cell = math.floor(x), math.floor(y)
+            cell = math.floor(x / CELL_M), math.floor(y / CELL_M)
             weight[cell] = weight.get(cell, 0) + part
             missed[cell] = missed.get(cell, 0) + part * p
     drawn = {}
     for square in answer["squares"]:
         mesh = square["mesh"]
         corners = np.frombuffer(base64.b64decode(mesh["vertices"]), "<f4").reshape(-1, 4, 3) + mesh["origin_m"]
-        assert np.ptp(corners[..., :2], axis=1) == pytest.approx(1.0)
-        for x, y in np.rint(corners[..., :2].min(axis=1)).astype(int).tolist():
+        assert np.ptp(corners[..., :2], axis=1) == pytest.approx(CELL_M, abs=1e-6)
+        for x, y in np.rint(corners[..., :2].min(axis=1) / CELL_M).astype(int).tolist():
             drawn[x, y] = square["colour"]
     assert drawn.keys() == {cell for cell, amount in missed.items() if amount > 0}
     assert 0 < len(drawn) < len(weight)

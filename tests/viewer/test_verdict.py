@@ -75,7 +75,7 @@ def test_the_verdict_follows_a_drag(chromium, required):
         for row, one in zip(rows, found.requirements, strict=True):
             name, margin, word = row.split("\t")
             assert (name, word) == (one.name, "PASS" if one.passed else "FAIL")
-            assert math.copysign(1, one.margin) == (-1 if margin.startswith("−") else 1)
+            assert math.copysign(1, one.margin) == (-1 if margin.startswith("-") else 1)
         assert rows[1].startswith("budget\t+0\tPASS")
         return text
 

@@ -25,7 +25,7 @@ from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.units import START_NS
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
-from tests.capture_fixtures import AT_NS, STREET, decoded, hdl_64e, mount, scene
+from tests.capture_fixtures import AT_NS, ROOM, decoded, hdl_64e, mount, scene
 from tests.packets.velodyne.captures import MODES, OTHERS, agree, calibrating, elsewhere, sent, write
 from tests.packets.velodyne.shaped import (
     decode,
@@ -142,7 +142,7 @@ def test_a_unit_through_the_commands(tmp_path):
     rig = str(tmp_path / "rig.yaml")
     out = str(tmp_path / "a")
     for words in (
-        ["export", rig, "--scene", str(STREET), "--duration", "1.5", "-o", f"{out}.pcap", "--truth", f"{out}.npz"],
+        ["export", rig, "--scene", str(ROOM), "--duration", "1.5", "-o", f"{out}.pcap", "--truth", f"{out}.npz"],
         ["decode", f"{out}.pcap", "--rig", rig, "-o", f"{out}-rig.npz"],
         ["decode", f"{out}.pcap", "--rig", "none", "-o", f"{out}-bare.npz"],
     ):
@@ -153,7 +153,7 @@ def test_a_unit_through_the_commands(tmp_path):
     np.testing.assert_allclose(mine.xyz, transform(T, bare.xyz), rtol=0, atol=1e-12)
     fired = firings(unit, 600, START_NS, range(1_500_000_000 // packet_period_ns(unit)))
     origins, directions = (values.reshape(-1, 3) for values in rays(unit, fired))
-    hits = Tracer(load_scene(STREET), np.zeros(3)).cast(transform(T, origins), directions @ T[:3, :3].T)
+    hits = Tracer(load_scene(ROOM), np.zeros(3)).cast(transform(T, origins), directions @ T[:3, :3].T)
     least_m, most_m = unit.range.reported_m
     met = np.flatnonzero((hits.range_m >= least_m) & (hits.range_m <= most_m))
     assert len(mine.xyz) == len(met) > 1_000_000
