@@ -4,6 +4,7 @@
 #include <bit>
 #include <limits>
 
+#include "world/descent.h"
 #include "world/shapes.h"
 
 namespace lidarcfg::world {
@@ -11,18 +12,8 @@ namespace {
 
 using namespace simd;
 
-constexpr float wider = 4e-7f;      // by which intervals are, for float32
-constexpr double pad_m = 1e-9;      // the same of origins
-constexpr float flattest = 1e-28f;  // of a direction's component: its inverse is finite
-constexpr float farthest = 1e38f;
 constexpr double farthest_ground_m = 3e38f;
-constexpr int stack_size = (node_size - 1) * most_levels + 1;
 constexpr double infinity = std::numeric_limits<double>::infinity();
-
-struct Waiting {
-  float near;
-  std::int32_t code;
-};
 
 /// The row of an axis: the last one that of the largest component.
 int row_of(int axis, int face) { return (axis + 5 - (face & 3)) % 3; }

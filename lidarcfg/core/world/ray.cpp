@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "simd.h"
+#include "world/descent.h"
 #include "world/packet.h"
 #include "world/shapes.h"
 
@@ -13,17 +14,6 @@ namespace lidarcfg::world {
 namespace {
 
 using namespace simd;
-
-constexpr float wider = 4e-7f;      // by which intervals are, for float32
-constexpr double pad_m = 1e-9;      // the same of origins
-constexpr float flattest = 1e-28f;  // of a direction's component: its inverse is finite
-constexpr float farthest = 1e38f;
-constexpr int stack_size = (node_size - 1) * most_levels + 1;
-
-struct Waiting {
-  float near;
-  std::int32_t code;
-};
 
 float shortened(double range) { return static_cast<float>(std::min(range, double{farthest})) * (1 + wider); }
 
