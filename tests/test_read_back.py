@@ -155,10 +155,16 @@ def test_studies_that_pages_show(page, text, tmp_path):
 
 
 def test_an_example_named_from_a_folder_without_it(tmp_path, monkeypatch):
-    """A scene that comes with the package is found by the name that it has there, and then from anywhere."""
+    """A scene, or a body, that comes with the package is found by its name there, and then from anywhere."""
     monkeypatch.chdir(tmp_path)
-    Path("study.yaml").write_text(RETURNS.replace("near/wall.yaml", "data/scenes/room.yaml").partition("objective")[0])
+    text = RETURNS.replace("near/wall.yaml", "data/scenes/room.yaml").partition("objective")[0]
+    body = "vehicle: {allow_inside: true, meshes: [{name: body, file: data/vehicles/sedan.ply}]}\n"
+    Path("study.yaml").write_text(text + body)
     study = library.load_study("study.yaml")
+    assert (
+        study.vehicle.scene.vertices_m[:, 2].max()
+        == library.load_vehicle("data/vehicles/sedan.ply").scene.vertices_m[:, 2].max()
+    )
     assert study.file["surroundings"] == str(ROOT / "data/scenes/room.yaml")
     assert_read_back(study, tmp_path)
 

@@ -12,6 +12,7 @@ import numpy as np
 from lidarcfg import maths
 from lidarcfg.config.models import COORDINATE_MAX_M, Vec3
 from lidarcfg.errors import SceneError
+from lidarcfg.files import example
 from lidarcfg.geometry import Array, pose, transform
 from lidarcfg.inputs import check_regular
 from lidarcfg.world.gltf import SUFFIXES, check_nodes
@@ -149,7 +150,7 @@ def mesh_from(source: str | Triangles, folder: Path) -> Mesh:
     """The mesh that a file in a folder names or holds. Raises SceneError."""
     if isinstance(source, Triangles):
         return source.vertices_m, source.triangles
-    return read_mesh(folder / source)
+    return read_mesh(example(folder / source))
 
 
 def ply_file(mesh: Mesh) -> bytes:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lidarcfg.config.document import Key
 from lidarcfg.config.models import Given, Model, Position, Section, errors_at, load_or_check
 from lidarcfg.errors import SceneError
+from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.world.gltf import buffer_files
 from lidarcfg.world.gltf_models import model_objects
@@ -150,7 +151,8 @@ def no_scene() -> Scene:
 def files_of(file: Model, folder: Path) -> list[Path]:
     """The files that a scene or a vehicle in a folder names, with those that these need."""
     items = [item for kind in FILES for item in getattr(file, kind, ()) if isinstance(item.file, str)]
-    return [one for item in items for one in (folder / item.file, *_needed(item, folder / item.file))]
+    paths = [(item, example(folder / item.file)) for item in items]
+    return [one for item, path in paths for one in (path, *_needed(item, path))]
 
 
 def _needed(item: SceneObject, path: Path) -> Sequence[Path]:

@@ -311,7 +311,7 @@ def _whole(mesh: BodyMesh, folder: Path) -> BodyMesh:
     """A body with the absolute path of its file, if it has one."""
     if not isinstance(mesh.file, str):
         return mesh
-    return mesh.model_copy(update={"file": os.path.realpath(folder / mesh.file)})
+    return mesh.model_copy(update={"file": os.path.realpath(example(folder / mesh.file))})
 
 
 def load_vehicle(given: Given) -> Vehicle:
